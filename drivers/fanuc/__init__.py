@@ -1,0 +1,1 @@
+"""FANUC robot drivers."""

@@ -1,0 +1,1 @@
+"""The simulated cell: one coupled world behind real wires."""

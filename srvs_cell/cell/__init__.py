@@ -1,0 +1,1 @@
+"""The cell: PackML unit, job steps, recovery policy, interlocks, journal."""

@@ -1,0 +1,1 @@
+"""Planning: goal rules, fewest moves, shortest travel, checked plan."""

@@ -1,0 +1,1 @@
+"""The service: API, operator page, daemon."""
