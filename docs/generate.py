@@ -20,9 +20,11 @@ def alarms_page() -> str:
         "# Alarms",
         GENERATED,
         "",
-        "1xxx communication and devices, 2xxx robot and gripper, 3xxx camera and vision, 4xxx planning, 5xxx cell and "
-        "operator, 6xxx configuration and files. The reaction is what happens when the recovery policy has nothing "
-        "milder.",
+        (
+            "1xxx communication and devices, 2xxx robot and gripper, 3xxx camera and vision, 4xxx planning, 5xxx cell and "
+            "operator, 6xxx configuration and files. The reaction is what happens when the recovery policy has nothing "
+            "milder."
+        ),
         "",
         "| code | name | severity | reaction | cause | remedy |",
         "|---|---|---|---|---|---|",
@@ -41,8 +43,10 @@ def packml_page() -> str:
         "# States, commands and modes",
         GENERATED,
         "",
-        "ISA-TR88.00.02 (PackML). The cell powers up in Aborted: nothing is known of the hardware until an operator "
-        "clears.",
+        (
+            "ISA-TR88.00.02 (PackML). The cell powers up in Aborted: nothing is known of the hardware until an operator "
+            "clears."
+        ),
         "",
         "## States",
         "",
