@@ -100,6 +100,7 @@ class Alarm(Enum):
     NO_DAEMON = AlarmDefinition(5006, _E, Reaction.NONE, "No daemon answers.", "Start it: 'systemctl start srvs-cell' or 'srvs-cell run --config CELL.yaml'.")
     NOT_AUTHORISED = AlarmDefinition(5007, _W, Reaction.NONE, "This connection may read but not command.", "Use the unix socket as a member of the operators' group.")
     SIMULATION_FAILED = AlarmDefinition(5008, _E, Reaction.NONE, "The simulated cell did not start or ended early.", "Install the extra 'sim'; the detail has the last lines of its log.")
+    ALREADY_RUNNING = AlarmDefinition(5009, _E, Reaction.NONE, "Another daemon already serves this cell.", "Use the running one ('srvs-cell status'), or stop it before you start another; the detail names what it holds.")
 
     CONFIG_INVALID = AlarmDefinition(6001, _C, Reaction.ABORT, "The configuration is wrong.", "The detail names file, key, value and bound.")
     FILE_INVALID = AlarmDefinition(6002, _E, Reaction.NONE, "A file is missing or cannot be read.", "The detail names the file and the reason.")
