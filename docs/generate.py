@@ -21,8 +21,8 @@ def alarms_page() -> str:
         GENERATED,
         "",
         (
-            "1xxx communication and devices, 2xxx robot and gripper, 3xxx camera and vision, 4xxx planning, 5xxx cell and "
-            "operator, 6xxx configuration and files. The reaction is what happens when the recovery policy has nothing "
+            "1xxx communication and devices, 2xxx robot and gripper, 3xxx camera and vision, 4xxx planning, 5xxx cell "
+            "and operator, 6xxx configuration and files. The reaction is what happens when the recovery policy has nothing "
             "milder."
         ),
         "",
@@ -44,8 +44,8 @@ def packml_page() -> str:
         GENERATED,
         "",
         (
-            "ISA-TR88.00.02 (PackML). The cell powers up in Aborted: nothing is known of the hardware until an operator "
-            "clears."
+            "ISA-TR88.00.02 (PackML). The cell powers up in Aborted: nothing is known of the hardware until an "
+            "operator clears."
         ),
         "",
         "## States",
