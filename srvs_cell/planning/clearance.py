@@ -1,0 +1,213 @@
+"""Which standings exclude each other: a table of bit masks over (object, place) pairs.
+
+The search only sees the table, so that discs, oblongs and the cell's polygons are the same to it. Two convex shapes
+are compared through their Minkowski difference: B's reference point at displacement d from A's makes them touch where
+d lies on the border of A + (-B), so that the signed distance of the point d to that polygon is the gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from srvs_cell.planning.problem import Disc, FingerGrip, Footprint, Obstacle, Polygon, Problem, Rectangle
+from srvs_cell.scene import PlaceKind
+
+if TYPE_CHECKING:
+    from srvs_cell.scene import Point2
+
+Array = NDArray[np.float64]
+
+CONTACT_TOLERANCE_MM = 1e-6
+"""Gaps short of the clearance by less than this are none (references/planning.md section 5)."""
+
+NEVER = -1
+"""The mask that excludes every standing: all bits set."""
+
+
+@dataclass(frozen=True)
+class ConflictTable:
+    """Who may stand where, and what excludes it.
+
+    The bit of object o at place p is ``1 << (o * place_count + p)``; an arrangement's mask is the union of its bits.
+
+    Attributes:
+        place_count: number of places.
+        standable: ``[object][place]``: place reachable and clear of obstacles for that object.
+        blocked_by: ``[object][place]``: standings of other objects that are too close to the object at that place.
+        grip_blocked_by: ``[object][place][grip]``: standings in the way of the fingers; `NEVER` where an obstacle is.
+        pickable: ``[place]``: reachable and no bin.
+        single: mask over places that hold one object only.
+    """
+
+    place_count: int
+    standable: tuple[tuple[bool, ...], ...]
+    blocked_by: tuple[tuple[int, ...], ...]
+    grip_blocked_by: tuple[tuple[tuple[int, ...], ...], ...]
+    pickable: tuple[bool, ...]
+    single: int
+
+    def bit(self, item: int, place: int) -> int:
+        """Return the bit of an object at a place."""
+        return 1 << (item * self.place_count + place)
+
+    def standing(self, arrangement: tuple[int, ...]) -> int:
+        """Return the mask of an arrangement (place per object)."""
+        mask = 0
+        for item, place in enumerate(arrangement):
+            mask |= 1 << (item * self.place_count + place)
+        return mask
+
+
+def conflict_table(problem: Problem) -> ConflictTable:
+    """Compute the conflict table of a problem."""
+    solid = [place.kind is not PlaceKind.BIN for place in problem.places]
+    points = np.array([[place.x_mm, place.y_mm] for place in problem.places], dtype=np.float64).reshape(-1, 2)
+    count = len(problem.places)
+    standable, blocked_by, grip_blocked_by = [], [], []
+    for item in problem.objects:
+        clear = np.ones(count, dtype=bool)
+        for obstacle in problem.obstacles:
+            clear &= ~_hits_obstacle(item.footprint, points, obstacle, problem.clearance_mm)
+        standable.append(
+            tuple(place.reachable and (bool(clear[place.id]) or not solid[place.id]) for place in problem.places)
+        )
+        others = [other for other in problem.objects if other.id != item.id]
+        masks = [0] * count
+        for other in others:
+            hit = too_close(item.footprint, other.footprint, _displacements(points), problem.clearance_mm)
+            _add_bits(masks, hit, other.id, solid)
+        blocked_by.append(tuple(masks))
+        grips = [
+            _grip_masks(grip, points, solid, problem.obstacles, [(o.id, o.footprint) for o in others])
+            for grip in item.grips
+        ] or [[0] * count]
+        grip_blocked_by.append(tuple(zip(*grips, strict=True)))
+    return ConflictTable(
+        place_count=count,
+        standable=tuple(standable),
+        blocked_by=tuple(blocked_by),
+        grip_blocked_by=tuple(grip_blocked_by),
+        pickable=tuple(place.reachable and solid[place.id] for place in problem.places),
+        single=sum(1 << place.id for place in problem.places if solid[place.id]),
+    )
+
+
+def too_close(a: Footprint, b: Footprint, displacement_mm: Array, clearance_mm: float) -> NDArray[np.bool_]:
+    """Return where B, displaced from A by each row of shape (..., 2), is nearer than the clearance.
+
+    Two axis-aligned oblongs are compared axis by axis (both gaps below the clearance), as the problem format says.
+    """
+    if isinstance(a, Rectangle) and isinstance(b, Rectangle):
+        reach = np.array([a.half_x_mm + b.half_x_mm, a.half_y_mm + b.half_y_mm]) + clearance_mm
+        inside: NDArray[np.bool_] = np.all(np.abs(displacement_mm) < reach - CONTACT_TOLERANCE_MM, axis=-1)
+        return inside
+    reach_mm = _radius_mm(a) + _radius_mm(b) + clearance_mm
+    difference = convex_hull((_core(a)[:, None, :] - _core(b)[None, :, :]).reshape(-1, 2))
+    near: NDArray[np.bool_] = signed_distance_mm(displacement_mm, difference) < reach_mm - CONTACT_TOLERANCE_MM
+    return near
+
+
+def finger_polygons(grip: FingerGrip) -> tuple[Polygon, Polygon]:
+    """Return the two finger rectangles of a grip, relative to the object's reference point."""
+    yaw_rad = np.deg2rad(grip.yaw_deg)
+    closing = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+    across = np.array([-closing[1], closing[0]])
+    near, far, half = grip.inner_mm, grip.inner_mm + grip.thick_mm, grip.width_mm / 2.0
+    corners = [(near, -half), (far, -half), (far, half), (near, half)]
+    sides = []
+    for sign in (1.0, -1.0):
+        vertices = np.array(grip.centre_mm) + sign * np.array([c * closing + w * across for c, w in corners])
+        sides.append(Polygon(tuple((float(x), float(y)) for x, y in vertices)))
+    return sides[0], sides[1]
+
+
+def convex_hull(points_mm: Array) -> Array:
+    """Return the hull of shape (M, 2), counter-clockwise, of points of shape (N, 2); one or two points stay."""
+    ordered = sorted({(float(x), float(y)) for x, y in np.round(points_mm, 9)})
+    if len(ordered) <= 2:  # noqa: PLR2004 - a point or a segment is its own hull
+        return np.array(ordered)
+    halves: list[list[Point2]] = []
+    for sweep in (ordered, ordered[::-1]):
+        chain: list[Point2] = []
+        for point in sweep:
+            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0.0:
+                chain.pop()
+            chain.append(point)
+        halves.append(chain[:-1])
+    return np.array(halves[0] + halves[1])
+
+
+def _turn(a: Point2, b: Point2, c: Point2) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def signed_distance_mm(points_mm: Array, polygon_mm: Array) -> Array:
+    """Return the distance of points (..., 2) to a convex counter-clockwise polygon (M, 2), negative inside.
+
+    A polygon of one or two vertices is a point or a segment and has no inside.
+    """
+    start = polygon_mm
+    edge = np.roll(start, -1, axis=0) - start
+    offset = points_mm[..., None, :] - start
+    length2 = np.sum(edge**2, axis=-1)
+    along = np.clip(np.sum(offset * edge, axis=-1) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
+    distance: Array = np.linalg.norm(offset - along[..., None] * edge, axis=-1).min(axis=-1)
+    if len(start) <= 2:  # noqa: PLR2004 - a point or a segment
+        return distance
+    left_of_all = np.all(edge[:, 0] * offset[..., 1] - edge[:, 1] * offset[..., 0] >= 0.0, axis=-1)
+    return np.where(left_of_all, -distance, distance)
+
+
+def _core(shape: Footprint) -> Array:
+    """Return the vertices of a shape without its rounding: a disc is a point with a radius."""
+    if isinstance(shape, Disc):
+        return np.zeros((1, 2))
+    if isinstance(shape, Rectangle):
+        x, y = shape.half_x_mm, shape.half_y_mm
+        return np.array([(-x, -y), (x, -y), (x, y), (-x, y)])
+    return np.array(shape.vertices_mm)
+
+
+def _radius_mm(shape: Footprint) -> float:
+    return shape.radius_mm if isinstance(shape, Disc) else 0.0
+
+
+def _displacements(points: Array) -> Array:
+    """Return [p, q] = displacement of place q from place p."""
+    difference: Array = points[None, :, :] - points[:, None, :]
+    return difference
+
+
+def _hits_obstacle(shape: Footprint, points: Array, obstacle: Obstacle, clearance_mm: float) -> NDArray[np.bool_]:
+    displacement = np.array([obstacle.x_mm, obstacle.y_mm]) - points
+    return too_close(shape, obstacle.footprint, displacement, clearance_mm)
+
+
+def _add_bits(masks: list[int], hit: NDArray[np.bool_], other: int, solid: list[bool]) -> None:
+    """Add the bits of ``other`` at q to the masks of p where ``hit[p, q]``; bins take no part."""
+    count = len(solid)
+    for p, q in np.argwhere(hit):
+        if solid[p] and solid[q]:
+            masks[p] |= 1 << (other * count + int(q))
+
+
+def _grip_masks(
+    grip: FingerGrip,
+    points: Array,
+    solid: list[bool],
+    obstacles: tuple[Obstacle, ...],
+    others: list[tuple[int, Footprint]],
+) -> list[int]:
+    masks = [0] * len(points)
+    for finger in finger_polygons(grip):
+        for other, shape in others:
+            _add_bits(masks, too_close(finger, shape, _displacements(points), 0.0), other, solid)
+        for obstacle in obstacles:
+            for place in np.flatnonzero(_hits_obstacle(finger, points, obstacle, 0.0)):
+                if solid[place]:
+                    masks[place] = NEVER
+    return masks

@@ -1,0 +1,70 @@
+"""What the planner may be told: tolerances, gripper geometry, buffer places, search caps."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+_STRICT = ConfigDict(extra="forbid")
+
+Coordinate = Annotated[float, Field(ge=-5000.0, le=5000.0)]
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class SearchLimits:
+    """Caps of the search, counted in nodes so that the same problem always gives the same plan."""
+
+    max_arrangements: Annotated[
+        int, Field(ge=1, le=10_000_000, description="arrangements that the search for the fewest moves may expand")
+    ] = 200_000
+    max_travel_moves: Annotated[
+        int, Field(ge=1, le=100_000_000, description="moves that the search for the least travel may look at")
+    ] = 1_500_000
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class FingerGeometry:
+    """The parallel gripper's fingers as seen from above."""
+
+    thickness_mm: Annotated[
+        float, Field(gt=0.0, le=100.0, description="extent of a finger along the closing motion")
+    ] = 10.0
+    width_mm: Annotated[float, Field(gt=0.0, le=200.0, description="extent of a finger across the closing motion")] = (
+        16.0
+    )
+    clearance_mm: Annotated[
+        float, Field(ge=0.0, le=100.0, description="distance of each open finger from the workpiece")
+    ] = 8.0
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class PlanningParameters:
+    """Everything that a config may say about planning."""
+
+    height_tolerance_mm: Annotated[
+        float, Field(ge=0.0, le=50.0, description="two heights nearer than this may stand in either order")
+    ] = 2.0
+    place_tolerance_mm: Annotated[
+        float, Field(ge=0.0, le=50.0, description="two y nearer than this are equal: the smaller x comes first")
+    ] = 3.0
+    clearance_mm: Annotated[
+        float, Field(ge=0.0, le=100.0, description="least distance between two workpieces on the table")
+    ] = 5.0
+    buffer_places_mm: Annotated[
+        tuple[tuple[Coordinate, Coordinate], ...],
+        Field(max_length=8, description="x and y of the buffer places; empty: free places are found on the table"),
+    ] = ()
+    max_found_buffers: Annotated[
+        int, Field(ge=1, le=4, description="buffer places that may be looked for on the table")
+    ] = 2
+    buffer_grid_mm: Annotated[
+        float, Field(ge=2.0, le=100.0, description="grid on which a free buffer place is looked for")
+    ] = 10.0
+    home_mm: Annotated[tuple[Coordinate, Coordinate], Field(description="x and y where the hand starts and ends")] = (
+        200.0,
+        0.0,
+    )
+    fingers: FingerGeometry = Field(default_factory=FingerGeometry)
+    limits: SearchLimits = Field(default_factory=SearchLimits)

@@ -1,0 +1,119 @@
+"""Goal rule -> fewest moves -> least travel -> a plan that says what is proven."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from srvs_cell.planning.clearance import conflict_table
+from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.moves import fewest_moves
+from srvs_cell.planning.parameters import SearchLimits
+from srvs_cell.planning.reasons import infeasible_reasons
+from srvs_cell.planning.travel import distances, least_travel, travel_mm
+from srvs_cell.scene import Move, PlanStatus, RelocationPlan
+
+if TYPE_CHECKING:
+    from srvs_cell.planning.goals import GoalRule
+    from srvs_cell.planning.moves import Arrangement, Step
+    from srvs_cell.planning.problem import Problem
+    from srvs_cell.planning.travel import Distances
+
+GREEDY_WEIGHT = 3.0
+"""Weight of the heuristic where the search for the fewest moves has hit its cap: any plan is better than none."""
+
+
+def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan:
+    """Plan a relocation: the fewest moves, and among those plans the least travel.
+
+    Args:
+        problem: what to do.
+        limits: caps of the search; where one is hit the answer is labelled not proven and carries the bounds.
+
+    Returns:
+        the plan. ``infeasible`` means that every arrangement that can be reached was looked at; ``reasons`` then names
+        the cause for each object. ``not_proven`` without moves means that no plan was found within the caps.
+    """
+    limits = limits or SearchLimits()
+    table, rule, legs = conflict_table(problem), goal_rule(problem), distances(problem)
+    start = tuple(item.start for item in problem.objects)
+    bound_mm = _travel_bound_mm(start, rule, legs)
+    found = fewest_moves(start, table, rule, limits.max_arrangements)
+    if found.steps is None and not found.proven:
+        greedy = fewest_moves(start, table, rule, limits.max_arrangements, GREEDY_WEIGHT)
+        capped = f"the search for the fewest moves ended at its cap of {limits.max_arrangements} arrangements"
+        if greedy.steps is None:
+            return _unproven((), legs, found.bound, bound_mm, (f"no plan found: {capped}",))
+        return _unproven(greedy.steps, legs, found.bound, bound_mm, (capped,))
+    if found.steps is None:
+        return RelocationPlan(
+            status=PlanStatus.INFEASIBLE,
+            moves=(),
+            travel_mm=0.0,
+            moves_proven=True,
+            travel_proven=True,
+            bound_moves=found.bound,
+            bound_travel_mm=bound_mm,
+            reasons=infeasible_reasons(problem, table, rule, found.explored),
+        )
+    steps = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_moves)
+    if steps is None:
+        capped = f"the search for the least travel ended at its cap of {limits.max_travel_moves} moves"
+        return _unproven(found.steps, legs, found.bound, bound_mm, (capped,))
+    total_mm = travel_mm(steps, legs)
+    return RelocationPlan(
+        status=PlanStatus.SOLVED,
+        moves=tuple(Move(*step) for step in steps),
+        travel_mm=total_mm,
+        moves_proven=True,
+        travel_proven=True,
+        bound_moves=len(steps),
+        bound_travel_mm=total_mm,
+    )
+
+
+def _unproven(
+    steps: tuple[Step, ...], legs: Distances, bound_moves: int, bound_mm: float, reasons: tuple[str, ...]
+) -> RelocationPlan:
+    return RelocationPlan(
+        status=PlanStatus.NOT_PROVEN,
+        moves=tuple(Move(*step) for step in steps),
+        travel_mm=travel_mm(steps, legs),
+        moves_proven=bool(steps) and len(steps) == bound_moves,
+        travel_proven=False,
+        bound_moves=bound_moves,
+        bound_travel_mm=bound_mm,
+        reasons=reasons,
+    )
+
+
+def _travel_bound_mm(start: Arrangement, rule: GoalRule, legs: Distances) -> float:
+    """Return a lower bound on the travel of any plan: every misplaced object is carried at least to its goal.
+
+    Together with the shortest legs from home to a first object and from a last place back home.
+    """
+    wrong = rule.misplaced(start)
+    if not wrong:
+        return 0.0
+    goals = {item: [place for place in range(len(legs.home_mm)) if rule.allowed[item] >> place & 1] for item in wrong}
+    loaded_mm = sum(min(legs.between_mm[start[item]][place] for place in goals[item]) for item in wrong)
+    first_mm = min(legs.home_mm[place] for place in start)
+    last_mm = min(legs.home_mm)
+    return math.fsum((loaded_mm, first_mm, last_mm))
+
+
+def plan_to_json(problem: Problem, answer: RelocationPlan) -> dict[str, Any]:
+    """Return the plan as design.md section 9 writes it; ``moves`` and ``travel_mm`` are null without a plan."""
+    has_plan = answer.status is PlanStatus.SOLVED or bool(answer.moves)
+    return {
+        "id": problem.id,
+        "status": answer.status.value,
+        "moves": len(answer.moves) if has_plan else None,
+        "travel_mm": round(answer.travel_mm, 6) if has_plan else None,
+        "moves_proven": answer.moves_proven,
+        "travel_proven": answer.travel_proven,
+        "bound_moves": answer.bound_moves if answer.status is not PlanStatus.INFEASIBLE else None,
+        "bound_travel_mm": round(answer.bound_travel_mm, 6) if answer.status is not PlanStatus.INFEASIBLE else None,
+        "plan": [[move.object, move.from_place, move.to_place] for move in answer.moves],
+        "reasons": list(answer.reasons),
+    }

@@ -1,0 +1,130 @@
+"""Why there is no plan, for each object that would have to move.
+
+The first reason that is certain without a search is named; where only the search knows, the reason says what was never
+seen in any arrangement that can be reached.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from srvs_cell.planning.clearance import NEVER
+from srvs_cell.scene import PlaceKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from srvs_cell.planning.clearance import ConflictTable
+    from srvs_cell.planning.goals import GoalRule
+    from srvs_cell.planning.moves import Arrangement
+    from srvs_cell.planning.problem import Problem
+
+
+def infeasible_reasons(
+    problem: Problem, table: ConflictTable, rule: GoalRule, explored: dict[Arrangement, int]
+) -> tuple[str, ...]:
+    """Return one line per object that stands wrongly, and per place that stays empty.
+
+    Args:
+        problem: the problem.
+        table: its conflicts.
+        rule: its goal.
+        explored: every arrangement that can be reached from the start.
+    """
+    start = tuple(item.start for item in problem.objects)
+    lines = [
+        f"{problem.objects[item].name}: {_object_reason(problem, table, rule, explored, item)}"
+        for item in rule.misplaced(start)
+    ]
+    filled = set(start)
+    lines += [
+        f"{_place(problem, place.id)} must be filled, but no sequence of moves fills it"
+        for place in problem.places
+        if rule.must_fill >> place.id & 1 and place.id not in filled
+    ]
+    if not lines:
+        lines = [
+            f"{item.name}: the order of height is not kept, and none of the {len(explored)} arrangements "
+            "that can be reached keeps it"
+            for item in problem.objects
+        ]
+    return tuple(lines)
+
+
+def _object_reason(
+    problem: Problem, table: ConflictTable, rule: GoalRule, explored: dict[Arrangement, int], item: int
+) -> str:
+    origin = problem.objects[item].start
+    here = _place(problem, origin)
+    goals = [place.id for place in problem.places if rule.allowed[item] >> place.id & 1]
+    goal_text = " or ".join(_place(problem, place) for place in goals)
+    if problem.places[origin].kind is PlaceKind.BIN:
+        return f"stands in a bin ({here}), which is never picked from"
+    if not problem.places[origin].reachable:
+        return f"stands on {here}, which is out of reach"
+    if not any(problem.places[place].reachable for place in goals):
+        return f"belongs on {goal_text}, which is out of reach"
+    if not any(table.standable[item][place] for place in goals):
+        return f"belongs on {goal_text}, where an obstacle is in the way"
+    if all(mask == NEVER for mask in table.grip_blocked_by[item][origin]):
+        return f"cannot be gripped on {here}: an obstacle is in the way of the fingers"
+    if all(all(mask == NEVER for mask in table.grip_blocked_by[item][place]) for place in goals):
+        return f"cannot be put down on {goal_text}: an obstacle is in the way of the fingers"
+    neighbour = _goal_neighbour(problem, table, rule, item, goals)
+    if neighbour is not None:
+        return f"belongs on {goal_text}, where it does not fit beside {neighbour} on its own place"
+    if not _free_places(problem, table):
+        return f"belongs on {goal_text}, but every place is taken and there is no free buffer place to begin with"
+    seen = {arrangement[item] for arrangement in explored}
+    count = len(explored)
+    blockers = _blockers(problem, table, item, [origin])
+    if seen == {origin}:
+        return f"can never leave {here}{blockers}; all {count} arrangements that can be reached were looked at"
+    if not seen & set(goals):
+        blockers = _blockers(problem, table, item, goals)
+        return f"never gets to {goal_text}{blockers}; all {count} arrangements that can be reached were looked at"
+    return (
+        f"can get to {goal_text}, but never while the others stand where they belong; "
+        f"all {count} arrangements that can be reached were looked at"
+    )
+
+
+def _goal_neighbour(problem: Problem, table: ConflictTable, rule: GoalRule, item: int, goals: list[int]) -> str | None:
+    """Return the name of an object with one allowed place only that excludes this object from all of its own."""
+    for other in problem.objects:
+        mask = rule.allowed[other.id]
+        if other.id == item or mask.bit_count() != 1:
+            continue
+        bit = table.bit(other.id, mask.bit_length() - 1)
+        if all(table.blocked_by[item][place] & bit for place in goals):
+            return other.name
+    return None
+
+
+def _free_places(problem: Problem, table: ConflictTable) -> list[int]:
+    taken = {item.start for item in problem.objects}
+    return [
+        place.id
+        for place in problem.places
+        if place.reachable and (place.id not in taken or not table.single >> place.id & 1)
+    ]
+
+
+def _blockers(problem: Problem, table: ConflictTable, item: int, places: Iterable[int]) -> str:
+    """Name the objects that are too near, or in the way of the fingers, on the places where they stand now."""
+    names = [
+        other.name
+        for other in problem.objects
+        if other.id != item
+        and any(
+            mask != NEVER and mask & table.bit(other.id, other.start)
+            for place in places
+            for mask in (table.blocked_by[item][place], *table.grip_blocked_by[item][place])
+        )
+    ]
+    return f" (in the way: {', '.join(names)})" if names else ""
+
+
+def _place(problem: Problem, place: int) -> str:
+    point = problem.places[place]
+    return f"place {place} ({point.x_mm:.1f}, {point.y_mm:.1f})"

@@ -1,0 +1,193 @@
+"""The independent check of a plan: replays every move in plain geometry.
+
+Nothing is shared with the planner but the problem's types: footprints are compared edge by edge here, fingers are
+built from their corners, goals are read from the problem. What the planner and this file agree on was computed twice.
+Reasons are those of references/planning.md section 5, followed by what they are about.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from srvs_cell.planning.problem import AssignGoal, Disc, Polygon, Rectangle
+from srvs_cell.scene import PlaceKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from srvs_cell.planning.problem import FingerGrip, Footprint, Obstacle, Problem, ProblemObject, RankGoal
+    from srvs_cell.scene import Move, Place, Point2
+
+_TOUCH_MM = 1e-6
+_HEIGHT_EQUAL_MM = 1e-9
+
+_Shape = tuple[list["Point2"], float]
+"""Corner points and a rounding radius around them."""
+
+
+def validate(problem: Problem, plan_moves: Sequence[Move]) -> list[str]:
+    """Replay a plan; return the reasons why it is wrong, empty for a valid plan.
+
+    Stops at the first move that cannot be carried out: what would follow it is not defined.
+
+    Args:
+        problem: the problem that the plan answers.
+        plan_moves: moves in order.
+
+    Returns:
+        lines such as ``move 3: occupied (place 2 holds object 1)``.
+    """
+    stands = [item.start for item in problem.objects]
+    for number, move in enumerate(plan_moves, start=1):
+        reason = _wrong_move(problem, stands, move)
+        if reason:
+            return [f"move {number}: {reason}"]
+        stands[move.object] = move.to_place
+    return [f"goal_not_reached ({what})" for what in _unmet_goals(problem, stands)]
+
+
+def _wrong_move(problem: Problem, stands: list[int], move: Move) -> str:
+    if not 0 <= move.object < len(problem.objects):
+        return f"bad_object (there is no object {move.object})"
+    for place_id in (move.from_place, move.to_place):
+        if not 0 <= place_id < len(problem.places):
+            return f"bad_place (there is no place {place_id})"
+    if move.from_place == move.to_place:
+        return f"same_place (object {move.object} is to be moved from place {move.from_place} to itself)"
+    if stands[move.object] != move.from_place:
+        return f"wrong_from (object {move.object} stands on place {stands[move.object]}, not {move.from_place})"
+    origin, target = problem.places[move.from_place], problem.places[move.to_place]
+    if origin.kind is PlaceKind.BIN:
+        return f"pick_from_bin (place {origin.id})"
+    if not origin.reachable:
+        return f"unreachable_pick (place {origin.id})"
+    if not target.reachable:
+        return f"unreachable_place (place {target.id})"
+    others = [
+        (item, problem.places[stands[item.id]])
+        for item in problem.objects
+        if item.id != move.object and problem.places[stands[item.id]].kind is not PlaceKind.BIN
+    ]
+    item = problem.objects[move.object]
+    if target.kind is not PlaceKind.BIN:
+        for other, place in others:
+            if place.id == target.id:
+                return f"occupied (place {target.id} holds object {other.id})"
+        for other, place in others:
+            if _near(item.footprint, target, other.footprint, place, problem.clearance_mm):
+                return f"footprint_conflict (object {item.id} on place {target.id}, object {other.id} on {place.id})"
+        for number, obstacle in enumerate(problem.obstacles):
+            if _near(item.footprint, target, obstacle.footprint, obstacle, problem.clearance_mm):
+                return f"obstacle_conflict (object {item.id} on place {target.id}, obstacle {number})"
+    if item.grips and not any(
+        _fingers_free(problem, grip, origin, others) and _fingers_free(problem, grip, target, others)
+        for grip in item.grips
+    ):
+        return f"gripper_blocked (object {item.id} from place {origin.id} to {target.id})"
+    return ""
+
+
+def _fingers_free(
+    problem: Problem, grip: FingerGrip, place: Place, others: Iterable[tuple[ProblemObject, Place]]
+) -> bool:
+    if place.kind is PlaceKind.BIN:
+        return True
+    for finger in _fingers(grip):
+        if any(_near(finger, place, other.footprint, stands, 0.0) for other, stands in others):
+            return False
+        if any(_near(finger, place, obstacle.footprint, obstacle, 0.0) for obstacle in problem.obstacles):
+            return False
+    return True
+
+
+def _fingers(grip: FingerGrip) -> list[Polygon]:
+    """Return the two finger rectangles, counter-clockwise, relative to the object's reference point."""
+    cos, sin = math.cos(math.radians(grip.yaw_deg)), math.sin(math.radians(grip.yaw_deg))
+    rectangles = []
+    for middle in (grip.inner_mm + grip.thick_mm / 2, -grip.inner_mm - grip.thick_mm / 2):
+        corners = []
+        for along, across in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+            u, v = middle + along * grip.thick_mm / 2, across * grip.width_mm / 2
+            corners.append((grip.centre_mm[0] + u * cos - v * sin, grip.centre_mm[1] + u * sin + v * cos))
+        rectangles.append(Polygon(tuple(corners)))
+    return rectangles
+
+
+def _near(a: Footprint, a_at: Place, b: Footprint, b_at: Place | Obstacle, clearance_mm: float) -> bool:
+    """Tell whether two footprints are nearer than the clearance; ``b_at`` is a place or an obstacle."""
+    dx, dy = b_at.x_mm - a_at.x_mm, b_at.y_mm - a_at.y_mm
+    if isinstance(a, Rectangle) and isinstance(b, Rectangle):
+        gap_x = abs(dx) - a.half_x_mm - b.half_x_mm
+        gap_y = abs(dy) - a.half_y_mm - b.half_y_mm
+        return gap_x < clearance_mm - _TOUCH_MM and gap_y < clearance_mm - _TOUCH_MM
+    (corners_a, round_a), (corners_b, round_b) = _corners(a, 0.0, 0.0), _corners(b, dx, dy)
+    return _gap_mm(corners_a, corners_b) - round_a - round_b < clearance_mm - _TOUCH_MM
+
+
+def _corners(shape: Footprint, x: float, y: float) -> _Shape:
+    if isinstance(shape, Disc):
+        return [(x, y)], shape.radius_mm
+    if isinstance(shape, Rectangle):
+        signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        return [(x + sx * shape.half_x_mm, y + sy * shape.half_y_mm) for sx, sy in signs], 0.0
+    return [(x + vx, y + vy) for vx, vy in shape.vertices_mm], 0.0
+
+
+def _gap_mm(a: list[Point2], b: list[Point2]) -> float:
+    """Return the distance of two convex counter-clockwise polygons; minus the depth where they overlap."""
+    apart = [_apart_mm(a, b), _apart_mm(b, a)]
+    if max(apart) <= 0.0:
+        return max(apart)
+    return min(*(_point_to_edges_mm(point, b) for point in a), *(_point_to_edges_mm(point, a) for point in b))
+
+
+def _apart_mm(a: list[Point2], b: list[Point2]) -> float:
+    """Return the widest strip along an edge of ``a`` that parts ``a`` from ``b``; negative where none does."""
+    widest = -math.inf
+    for (x0, y0), (x1, y1) in zip(a, a[1:] + a[:1], strict=True):
+        length = math.hypot(x1 - x0, y1 - y0)
+        if length > 0.0:
+            nx, ny = (y1 - y0) / length, (x0 - x1) / length
+            widest = max(widest, min(nx * (x - x0) + ny * (y - y0) for x, y in b))
+    return widest if len(a) > 1 or len(b) > 1 else math.inf
+
+
+def _point_to_edges_mm(point: Point2, polygon: list[Point2]) -> float:
+    nearest = math.inf
+    for (x0, y0), (x1, y1) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+        ex, ey = x1 - x0, y1 - y0
+        length2 = ex * ex + ey * ey
+        part = max(0.0, min(1.0, ((point[0] - x0) * ex + (point[1] - y0) * ey) / length2)) if length2 > 0.0 else 0.0
+        nearest = min(nearest, math.hypot(point[0] - x0 - part * ex, point[1] - y0 - part * ey))
+    return nearest
+
+
+def _unmet_goals(problem: Problem, stands: list[int]) -> list[str]:
+    if isinstance(problem.goal, AssignGoal):
+        unmet = [
+            f"object {item} stands on place {place}, allowed are {sorted(problem.goal.allowed[item])}"
+            for item, place in enumerate(stands)
+            if place not in problem.goal.allowed[item]
+        ]
+        return unmet + [f"place {place} is empty" for place in sorted(problem.goal.must_fill - set(stands))]
+    return _unmet_ranks(problem, problem.goal, stands)
+
+
+def _unmet_ranks(problem: Problem, goal: RankGoal, stands: list[int]) -> list[str]:
+    unmet = [
+        f"object {i} stands on place {place}, which has no rank"
+        for i, place in enumerate(stands)
+        if place not in goal.slots
+    ]
+    if unmet:
+        return unmet
+    for earlier in problem.objects:
+        for later in problem.objects:
+            in_order = goal.slots.index(stands[earlier.id]) < goal.slots.index(stands[later.id])
+            if in_order and later.height_mm - earlier.height_mm > goal.tolerance_mm + _HEIGHT_EQUAL_MM:
+                unmet.append(
+                    f"object {later.id} ({later.height_mm} mm) stands behind object {earlier.id} "
+                    f"({earlier.height_mm} mm)"
+                )
+    return unmet
