@@ -22,8 +22,8 @@ def alarms_page() -> str:
         "",
         (
             "1xxx communication and devices, 2xxx robot and gripper, 3xxx camera and vision, 4xxx planning, 5xxx cell "
-            "and operator, 6xxx configuration and files. The reaction is what happens when the recovery policy has nothing "
-            "milder."
+            "and operator, 6xxx configuration and files. The reaction is what happens when the recovery policy has "
+            "nothing milder."
         ),
         "",
         "| code | name | severity | reaction | cause | remedy |",
