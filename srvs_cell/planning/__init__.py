@@ -1,5 +1,6 @@
 """Planning: goal rules, fewest moves, shortest travel, checked plan."""
 
+from srvs_cell.planning.buffers import Workspace
 from srvs_cell.planning.parameters import FingerGeometry, PlanningParameters, SearchLimits
 from srvs_cell.planning.planner import plan, plan_to_json
 from srvs_cell.planning.problem import (
@@ -15,10 +16,15 @@ from srvs_cell.planning.problem import (
     Rectangle,
     read_problems,
 )
+from srvs_cell.planning.relocation import CellGoal, CellMove, CellPlan, plan_relocation
+from srvs_cell.planning.table import TableProblem, footprint_centroid_mm, table_problem
 from srvs_cell.planning.validator import validate
 
 __all__ = [
     "AssignGoal",
+    "CellGoal",
+    "CellMove",
+    "CellPlan",
     "Disc",
     "FingerGeometry",
     "FingerGrip",
@@ -31,8 +37,13 @@ __all__ = [
     "RankGoal",
     "Rectangle",
     "SearchLimits",
+    "TableProblem",
+    "Workspace",
+    "footprint_centroid_mm",
     "plan",
+    "plan_relocation",
     "plan_to_json",
     "read_problems",
+    "table_problem",
     "validate",
 ]

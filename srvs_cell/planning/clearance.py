@@ -172,6 +172,12 @@ def _core(shape: Footprint) -> Array:
     return np.array(shape.vertices_mm)
 
 
+def bounds_mm(shape: Footprint) -> tuple[Array, Array]:
+    """Return the lower and upper corner (2,) of a shape's bounding box, relative to its reference point."""
+    core, radius_mm = _core(shape), _radius_mm(shape)
+    return core.min(axis=0) - radius_mm, core.max(axis=0) + radius_mm
+
+
 def _radius_mm(shape: Footprint) -> float:
     return shape.radius_mm if isinstance(shape, Disc) else 0.0
 

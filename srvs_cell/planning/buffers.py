@@ -1,0 +1,177 @@
+"""A free buffer place on the table, where none is configured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.planning.clearance import bounds_mm, finger_polygons, too_close
+from srvs_cell.planning.goals import goal_rule
+from srvs_cell.scene import Place, PlaceKind
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from srvs_cell.planning.problem import Footprint, Polygon, Problem, ProblemObject
+
+Array = NDArray[np.float64]
+
+_CHUNK = 128
+"""Candidates that are checked at once, best first: the first free one ends the search."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """The box on the table that workpieces may be moved in, base frame."""
+
+    x_min_mm: float
+    x_max_mm: float
+    y_min_mm: float
+    y_max_mm: float
+
+    def contains(self, x_mm: float, y_mm: float) -> bool:
+        """Tell whether a point lies inside."""
+        return self.x_min_mm <= x_mm <= self.x_max_mm and self.y_min_mm <= y_mm <= self.y_max_mm
+
+    def __str__(self) -> str:
+        return f"x {self.x_min_mm:g} to {self.x_max_mm:g} mm, y {self.y_min_mm:g} to {self.y_max_mm:g} mm"
+
+
+@dataclass(frozen=True)
+class _Standing:
+    """An object and the points (S, 2) where it may stand while something is in the buffer place."""
+
+    item: ProblemObject
+    points_mm: Array
+
+
+def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float) -> Problem:
+    """Return the problem with one more buffer place, found on the table.
+
+    The place is clear, footprints and fingers, for every object that stands wrongly, whatever slot the others stand
+    on by then. Where the table is too full for that, it is clear for one of them at least as the table stands now;
+    the search then finds out whether that is enough. Among the clear points the one is taken that makes the
+    shortest detour for one object; the others can go round through its slot (references/planning.md section 3).
+
+    Args:
+        problem: a rank problem with polygons; not in order yet.
+        workspace: box that the whole footprint of a buffered object stays in.
+        grid_mm: distance of the points that are looked at.
+
+    Raises:
+        AlarmError: NO_BUFFER_PLACE.
+    """
+    rule = goal_rule(problem)
+    start = tuple(item.start for item in problem.objects)
+    movers = [problem.objects[i] for i in rule.misplaced(start)] or list(problem.objects)
+    candidates = _by_detour(_grid(workspace, grid_mm), problem, movers)
+    slots = [place.id for place in problem.places]
+    moving = {item.id for item in movers}
+    anywhere = [
+        _Standing(item, _points(problem, slots if item.id in moving else [item.start])) for item in problem.objects
+    ]
+    as_now = [_Standing(item, _points(problem, [item.start])) for item in problem.objects]
+    point = _first_clear(candidates, movers, anywhere, problem, workspace)
+    if point is None:
+        for mover in movers:
+            point = _first_clear(candidates, [mover], as_now, problem, workspace)
+            if point is not None:
+                break
+    if point is None:
+        names = ", ".join(item.name for item in movers)
+        raise AlarmError(
+            Alarm.NO_BUFFER_PLACE,
+            f"no point of the workspace ({workspace}) on a grid of {grid_mm:g} mm is clear for any of: {names}.",
+        )
+    found = Place(len(problem.places), float(point[0]), float(point[1]), PlaceKind.BUFFER)
+    return replace(problem, places=(*problem.places, found))
+
+
+def _grid(workspace: Workspace, grid_mm: float) -> Array:
+    """Return grid points of shape (C, 2), on multiples of the grid so that they do not depend on the workpieces."""
+    axes = [
+        np.arange(np.ceil(low / grid_mm), np.floor(high / grid_mm) + 1.0) * grid_mm
+        for low, high in ((workspace.x_min_mm, workspace.x_max_mm), (workspace.y_min_mm, workspace.y_max_mm))
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _by_detour(candidates: Array, problem: Problem, movers: Sequence[ProblemObject]) -> Array:
+    """Sort candidates by the shortest way start -> candidate -> goal of any object, then by the sum of all ways."""
+    rule = goal_rule(problem)
+    ways = []
+    for item in movers:
+        goals = _points(problem, [p.id for p in problem.places if rule.allowed[item.id] >> p.id & 1])
+        to_goal = np.linalg.norm(candidates[:, None, :] - goals[None, :, :], axis=-1).min(axis=1)
+        ways.append(np.linalg.norm(candidates - _points(problem, [item.start]), axis=-1) + to_goal)
+    all_ways = np.array(ways)
+    ranking = np.lexsort((np.round(all_ways.sum(axis=0), 6), np.round(all_ways.min(axis=0), 6)))
+    ordered: Array = candidates[ranking]
+    return ordered
+
+
+def _points(problem: Problem, places: Sequence[int]) -> Array:
+    return np.array([[problem.places[p].x_mm, problem.places[p].y_mm] for p in places], dtype=np.float64)
+
+
+def _first_clear(
+    candidates: Array,
+    movers: Sequence[ProblemObject],
+    standings: Sequence[_Standing],
+    problem: Problem,
+    workspace: Workspace,
+) -> Array | None:
+    """Return the first candidate that is clear for all movers, or None."""
+    for begin in range(0, len(candidates), _CHUNK):
+        chunk = candidates[begin : begin + _CHUNK]
+        for mover in movers:
+            chunk = chunk[_inside(mover.footprint, chunk, workspace)]
+            for obstacle in problem.obstacles:
+                at = np.array([[obstacle.x_mm, obstacle.y_mm]])
+                chunk = _without_hits(chunk, mover, obstacle.footprint, at, problem.clearance_mm)
+            for standing in standings:
+                if standing.item.id == mover.id or not len(chunk):
+                    continue
+                chunk = _without_hits(chunk, mover, standing.item.footprint, standing.points_mm, problem.clearance_mm)
+                # The other's fingers come down beside what stands in the buffer place.
+                for finger in _fingers(standing.item):
+                    chunk = chunk[~_hit(mover.footprint, finger, chunk, standing.points_mm, 0.0)]
+        if len(chunk):
+            first: Array = chunk[0]
+            return first
+    return None
+
+
+def _without_hits(chunk: Array, mover: ProblemObject, other: Footprint, at_mm: Array, clearance_mm: float) -> Array:
+    """Drop the candidates where the mover or its fingers would meet a shape at any of the points (S, 2)."""
+    chunk = chunk[~_hit(mover.footprint, other, chunk, at_mm, clearance_mm)]
+    for finger in _fingers(mover):
+        chunk = chunk[~_hit(finger, other, chunk, at_mm, 0.0)]
+    return chunk
+
+
+def _hit(a: Footprint, b: Footprint, a_at_mm: Array, b_at_mm: Array, clearance_mm: float) -> NDArray[np.bool_]:
+    """Return, per point of A (C, 2), whether A is too close to B at any point of B (S, 2)."""
+    close = too_close(a, b, b_at_mm[None, :, :] - a_at_mm[:, None, :], clearance_mm)
+    hit: NDArray[np.bool_] = np.any(close, axis=1)
+    return hit
+
+
+def _fingers(item: ProblemObject) -> list[Polygon]:
+    return [finger for grip in item.grips for finger in finger_polygons(grip)]
+
+
+def _inside(shape: Footprint, points_mm: Array, workspace: Workspace) -> NDArray[np.bool_]:
+    """Return where the whole of a shape lies in the workspace, per point (C, 2)."""
+    low, high = bounds_mm(shape)
+    fits: NDArray[np.bool_] = (
+        (points_mm[:, 0] + low[0] >= workspace.x_min_mm)
+        & (points_mm[:, 0] + high[0] <= workspace.x_max_mm)
+        & (points_mm[:, 1] + low[1] >= workspace.y_min_mm)
+        & (points_mm[:, 1] + high[1] <= workspace.y_max_mm)
+    )
+    return fits

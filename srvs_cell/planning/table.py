@@ -1,0 +1,161 @@
+"""The cell's own problem: perceived workpieces on the table, put into the order of height.
+
+Each workpiece's perceived place is a slot, and its reference point is its footprint's centroid. The highest goes to
+the slot with the largest y (the paper, "Recognition and relocation"). A workpiece keeps its orientation when moved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srvs_cell.planning.buffers import Workspace, find_buffer
+from srvs_cell.planning.clearance import convex_hull
+from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.problem import FingerGrip, Obstacle, Polygon, Problem, ProblemObject, RankGoal
+from srvs_cell.scene import UNKNOWN_KIND, Place, PlaceKind, Point2, Workpiece
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from srvs_cell.planning.parameters import FingerGeometry, PlanningParameters
+    from srvs_cell.scene import Grasp
+
+
+@dataclass(frozen=True)
+class TableProblem:
+    """A problem made of workpieces.
+
+    Attributes:
+        problem: the problem; its first places are the slots, in the order of its objects.
+        workpieces: id of the workpiece behind each object.
+        static: ids of the workpieces that are obstacles because they cannot be taken.
+        notes: why, one line for each of them.
+    """
+
+    problem: Problem
+    workpieces: tuple[int, ...]
+    static: tuple[int, ...]
+    notes: tuple[str, ...]
+
+
+def table_problem(
+    workpieces: Sequence[Workpiece], parameters: PlanningParameters, workspace: Workspace, buffers: int = 1
+) -> TableProblem:
+    """Make the ``height_order`` problem of the workpieces on the table.
+
+    Args:
+        workpieces: what was recognised; unknown shapes and workpieces without a grasp become obstacles.
+        parameters: tolerances, fingers, buffer places.
+        workspace: where the hand may go; workpieces outside it count as out of reach.
+        buffers: how many buffer places to look for where none is configured and the order is not kept already.
+
+    Raises:
+        AlarmError: NO_BUFFER_PLACE where the order is not kept and no free place is found on the table.
+    """
+    movable = [w for w in workpieces if w.grasp is not None and w.kind != UNKNOWN_KIND]
+    static = [w for w in workpieces if w.grasp is None or w.kind == UNKNOWN_KIND]
+    centres = [footprint_centroid_mm(w.footprint_mm) for w in movable]
+    slots = tuple(Place(i, x, y, PlaceKind.SLOT, workspace.contains(x, y)) for i, (x, y) in enumerate(centres))
+    configured = tuple(
+        Place(len(slots) + i, x, y, PlaceKind.BUFFER, workspace.contains(x, y))
+        for i, (x, y) in enumerate(parameters.buffer_places_mm)
+    )
+    problem = Problem(
+        id="table",
+        places=slots + configured,
+        objects=tuple(
+            _object(i, workpiece, centre, parameters.fingers)
+            for i, (workpiece, centre) in enumerate(zip(movable, centres, strict=True))
+        ),
+        obstacles=tuple(_obstacle(workpiece) for workpiece in static),
+        goal=RankGoal(slot_order(slots, parameters.place_tolerance_mm), parameters.height_tolerance_mm),
+        home_mm=parameters.home_mm,
+        clearance_mm=parameters.clearance_mm,
+    )
+    ordered = goal_rule(problem).is_reached(tuple(range(len(slots))))
+    if not configured and not ordered:
+        for _ in range(buffers):
+            problem = find_buffer(problem, workspace, parameters.buffer_grid_mm)
+    return TableProblem(
+        problem,
+        tuple(w.id for w in movable),
+        tuple(w.id for w in static),
+        tuple(f"{_name(w)} stays where it is: {_why_static(w)}" for w in static),
+    )
+
+
+def slot_order(slots: Sequence[Place], tolerance_mm: float) -> tuple[int, ...]:
+    """Return the ids of slots, largest y first; y within the tolerance of a group's largest count as equal, x decides.
+
+    Groups are anchored at their largest y, so that a long chain of small steps is not one group.
+    """
+    order: list[int] = []
+    remaining = sorted(slots, key=lambda place: -place.y_mm)
+    while remaining:
+        anchor_mm = remaining[0].y_mm
+        group = [place for place in remaining if anchor_mm - place.y_mm <= tolerance_mm]
+        order += [place.id for place in sorted(group, key=lambda place: (place.x_mm, -place.y_mm))]
+        remaining = remaining[len(group) :]
+    return tuple(order)
+
+
+def footprint_centroid_mm(footprint_mm: NDArray[np.float64]) -> Point2:
+    """Return the centroid of the area of a convex polygon of shape (N, 2); of its vertices where it has no area."""
+    hull = convex_hull(footprint_mm)
+    following = np.roll(hull, -1, axis=0)
+    cross = hull[:, 0] * following[:, 1] - following[:, 0] * hull[:, 1]
+    twice_area = float(cross.sum())
+    if twice_area <= 0.0:
+        x, y = hull.mean(axis=0)
+    else:
+        x, y = ((hull + following) * cross[:, None]).sum(axis=0) / (3.0 * twice_area)
+    return float(x), float(y)
+
+
+def _relative_polygon(footprint_mm: NDArray[np.float64], centre_mm: Point2) -> Polygon:
+    hull = convex_hull(footprint_mm - np.array(centre_mm))
+    return Polygon(tuple((float(x), float(y)) for x, y in hull))
+
+
+def _object(index: int, workpiece: Workpiece, centre_mm: Point2, fingers: FingerGeometry) -> ProblemObject:
+    grips = () if workpiece.grasp is None else (_grip(workpiece.grasp, centre_mm, fingers),)
+    return ProblemObject(
+        id=index,
+        height_mm=workpiece.height_mm,
+        footprint=_relative_polygon(workpiece.footprint_mm, centre_mm),
+        start=index,
+        grips=grips,
+        name=_name(workpiece),
+    )
+
+
+def _grip(grasp: Grasp, centre_mm: Point2, fingers: FingerGeometry) -> FingerGrip:
+    """Return the room that the fingers sweep from closed on the workpiece to open."""
+    return FingerGrip(
+        name=f"yaw {grasp.yaw_deg:.1f} deg",
+        centre_mm=(grasp.position_mm[0] - centre_mm[0], grasp.position_mm[1] - centre_mm[1]),
+        yaw_deg=grasp.yaw_deg,
+        inner_mm=grasp.opening_mm / 2.0,
+        thick_mm=fingers.clearance_mm + fingers.thickness_mm,
+        width_mm=fingers.width_mm,
+    )
+
+
+def _obstacle(workpiece: Workpiece) -> Obstacle:
+    centre_mm = footprint_centroid_mm(workpiece.footprint_mm)
+    return Obstacle(_relative_polygon(workpiece.footprint_mm, centre_mm), *centre_mm)
+
+
+def _name(workpiece: Workpiece) -> str:
+    return f"workpiece {workpiece.id} ({workpiece.kind}, {workpiece.height_mm:.1f} mm high)"
+
+
+def _why_static(workpiece: Workpiece) -> str:
+    if workpiece.kind == UNKNOWN_KIND:
+        return "its shape is in no library"
+    return workpiece.grasp_refusal or "there is no grasp for it"
