@@ -1,0 +1,179 @@
+"""What a reading of the robot's words means: may it be moved, has it finished, how long may it take. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from drivers.fanuc.registers import FIRST_FAULT_IN_MOTION, FaultCode, Snapshot, State, UopOutput
+from srvs_cell.alarms import Alarm
+from srvs_cell.geometry import Transform, Xyzwpr, pose_difference
+from srvs_cell.ports import (
+    CommandRejectedError,
+    DeviceFaultError,
+    MotionStoppedError,
+    NotReadyError,
+    OutcomeUnknownError,
+    RobotMode,
+)
+
+if TYPE_CHECKING:
+    from srvs_cell.ports import PortError
+
+_UNREACHABLE: Final = {"MOTN-017", "MOTN-018"}
+"""Limit error, position not reachable."""
+
+_COLLISION: Final = {"SRVO-050"}
+"""Collision detect alarm."""
+
+_STANDING_MM: Final = 0.5
+"""An arm nearer than this to where it started has not moved: above the repeatability of reported poses."""
+
+_FAULT_TEXTS: Final = {
+    FaultCode.UNKNOWN_COMMAND: "unknown command",
+    FaultCode.CHECKSUM: "checksum mismatch",
+    FaultCode.POSITION_RANGE: "position out of the program's range",
+    FaultCode.SPEED_RANGE: "speed out of the program's range",
+    FaultCode.FRAME: "user frame or tool is not the program's",
+    FaultCode.PC_HEARTBEAT: "the PC's heartbeat is not seen",
+    FaultCode.HOLD_ACTIVE: "the hold output is on",
+    FaultCode.STOPPED: "stopped by the hold output",
+    FaultCode.STOPPED_BY_WATCHDOG: "stopped because the PC's heartbeat froze",
+}
+
+
+def refusal(snapshot: Snapshot) -> NotReadyError | None:
+    """Return why the robot may not be moved by this PC as it stands, or None where it may."""
+    if UopOutput.FAULT in snapshot.uop:
+        return NotReadyError(Alarm.ROBOT_FAULT, f"The controller is in fault ({snapshot.alarm or 'no alarm named'}).")
+    if snapshot.mode != RobotMode.AUTO or UopOutput.TPENBL in snapshot.uop:
+        pendant = "enabled" if UopOutput.TPENBL in snapshot.uop else "disabled"
+        return NotReadyError(Alarm.MODE_NOT_AUTO, f"Mode {snapshot.mode.value}, pendant {pendant}.")
+    if UopOutput.SYSRDY not in snapshot.uop:
+        return NotReadyError(Alarm.ROBOT_NOT_READY, "Servo power is off (SYSRDY): E-stop or fence.")
+    if UopOutput.CMDENBL not in snapshot.uop:
+        return NotReadyError(Alarm.ROBOT_NOT_READY, "Remote conditions are not met (CMDENBL is off).")
+    if snapshot.uop & (UopOutput.PAUSED | UopOutput.HELD) or UopOutput.PROGRUN not in snapshot.uop:
+        return NotReadyError(Alarm.ROBOT_NOT_READY, "The program SRVS is not running (paused, held or ended).")
+    if snapshot.busy:
+        return NotReadyError(
+            Alarm.ROBOT_BUSY,
+            f"State {snapshot.state}, sequence {snapshot.sequence} written, {snapshot.acknowledged} acknowledged.",
+        )
+    return None
+
+
+def finished(snapshot: Snapshot, sequence: int, start: Xyzwpr, *, hold_requested: bool) -> bool:
+    """Say whether the command ``sequence`` has been carried out.
+
+    Args:
+        snapshot: the reading.
+        sequence: the command's number.
+        start: the pose before the command, to tell a refusal from an interrupted move.
+        hold_requested: whether this PC has switched the hold output on.
+
+    Raises:
+        MotionStoppedError: it was stopped on the way, from here or at the robot.
+        CommandRejectedError: the robot refused it and has not moved.
+        DeviceFaultError: it ended in a fault.
+        OutcomeUnknownError: the words contradict each other.
+    """
+    done = snapshot.acknowledged == sequence
+    if snapshot.sequence != sequence:
+        raise _unknown(f"R[101] reads {snapshot.sequence}, this PC wrote {sequence}: somebody else writes commands.")
+    if snapshot.state not in set(State):
+        raise _unknown(f"R[112] reads {snapshot.state}, which is no state.")
+    if done and snapshot.state == State.FAULT:
+        raise _program_fault(snapshot)
+    if done and snapshot.state == State.DONE:
+        return True
+    if done:
+        raise _unknown(f"sequence {sequence} is acknowledged, but state reads {State(snapshot.state).name}.")
+    if UopOutput.FAULT in snapshot.uop:
+        raise _controller_fault(snapshot, start)
+    if snapshot.uop & (UopOutput.PAUSED | UopOutput.HELD):
+        where = "on request" if hold_requested else "at the robot"
+        raise MotionStoppedError(
+            Alarm.MOTION_STOPPED,
+            f"The robot's program was paused {where} at {snapshot.pose}; abort it on the pendant before going on.",
+        )
+    return False
+
+
+def arrival_error(reported: Xyzwpr, target: Xyzwpr, tolerance_mm: float, tolerance_deg: float) -> PortError | None:
+    """Return an error where a finished move has not ended at its target."""
+    distance_mm, angle_deg = _apart(reported, target)
+    if distance_mm <= tolerance_mm and angle_deg <= tolerance_deg:
+        return None
+    return DeviceFaultError(
+        Alarm.MOTION_OUTCOME_UNKNOWN,
+        f"The robot reports the move as done but stands {distance_mm:.3f} mm and {angle_deg:.3f} deg from its target "
+        f"{target} (allowed {tolerance_mm} mm, {tolerance_deg} deg): wrong user frame or tool?",
+    )
+
+
+@dataclass
+class MotionBudget:
+    """How long a move may take, in seconds at 100 % override.
+
+    The override may change at any moment, so time is spent at the override of the moment rather than compared with
+    a fixed deadline.
+    """
+
+    allowed_s: float
+    spent_s: float = 0.0
+    _limited: bool = False
+
+    @classmethod
+    def of(cls, start: Xyzwpr, target: Xyzwpr, speed_mm_s: float, speed_deg_s: float, grace_s: float) -> MotionBudget:
+        """Allow twice the time of the path and of the turn one after the other, and ``grace_s``.
+
+        Twice and the grace cover acceleration, a path that is not straight, and the controller's latency of about
+        150 ms from register write to motion (references/fanuc.md 1b).
+        """
+        distance_mm, angle_deg = _apart(start, target)
+        return cls(2.0 * (distance_mm / speed_mm_s + angle_deg / speed_deg_s) + grace_s)
+
+    def spend(self, elapsed_s: float, override_percent: int) -> bool:
+        """Add ``elapsed_s`` at ``override_percent``; return whether anything is left."""
+        self.spent_s += elapsed_s * min(max(override_percent, 1), 100) / 100.0
+        return self.spent_s <= self.allowed_s
+
+    def limit(self, left_s: float) -> None:
+        """Leave at most ``left_s`` from the first call on."""
+        if not self._limited:
+            self._limited = True
+            self.allowed_s = min(self.allowed_s, self.spent_s + left_s)
+
+
+def _apart(a: Xyzwpr, b: Xyzwpr) -> tuple[float, float]:
+    return pose_difference(Transform.from_xyzwpr("base", "tcp", a), Transform.from_xyzwpr("base", "tcp", b))
+
+
+def _unknown(detail: str) -> OutcomeUnknownError:
+    return OutcomeUnknownError(Alarm.MOTION_OUTCOME_UNKNOWN, detail[0].upper() + detail[1:])
+
+
+def _program_fault(snapshot: Snapshot) -> PortError:
+    code = snapshot.fault_code
+    known = code in set(FaultCode)
+    text = f"Program fault {code} ({_FAULT_TEXTS.get(FaultCode(code), 'none') if known else 'unknown code'})"
+    if code == FaultCode.HOLD_ACTIVE:
+        return MotionStoppedError(Alarm.MOTION_STOPPED, f"{text} before the move began.")
+    if code == FaultCode.STOPPED:
+        return MotionStoppedError(Alarm.MOTION_STOPPED, f"{text} at {snapshot.pose}.")
+    if code == FaultCode.STOPPED_BY_WATCHDOG:
+        return MotionStoppedError(Alarm.HEARTBEAT_LOST, f"{text} at {snapshot.pose}.")
+    if known and FaultCode.NONE < code < FIRST_FAULT_IN_MOTION:
+        return CommandRejectedError(Alarm.TARGET_REJECTED, f"{text}.")
+    return DeviceFaultError(Alarm.ROBOT_FAULT, f"{text} at {snapshot.pose}.")
+
+
+def _controller_fault(snapshot: Snapshot, start: Xyzwpr) -> PortError:
+    detail = f"Controller alarm {snapshot.alarm or 'not named'} at {snapshot.pose}."
+    if snapshot.alarm in _COLLISION:
+        return DeviceFaultError(Alarm.COLLISION, detail)
+    if snapshot.alarm in _UNREACHABLE:
+        standing = _apart(snapshot.pose, start)[0] < _STANDING_MM
+        return (CommandRejectedError if standing else DeviceFaultError)(Alarm.TARGET_UNREACHABLE, detail)
+    return DeviceFaultError(Alarm.ROBOT_FAULT, detail)

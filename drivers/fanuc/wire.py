@@ -1,0 +1,147 @@
+"""One Modbus TCP connection to the controller, with every failure named.
+
+Time-outs here are real time: they bound the wire, not the work of the robot.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+from typing import TYPE_CHECKING
+
+from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.exceptions import ModbusException
+
+from srvs_cell.alarms import Alarm
+from srvs_cell.ports import NotConnectedError, PortError
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from pymodbus.pdu import ModbusPDU
+
+_NO_ROUTE = frozenset({errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN, errno.ENETDOWN})
+
+
+class ModbusWire:
+    """Reads and writes words, inputs and outputs; numbers are 1-based as on the pendant.
+
+    Never re-sends: a request that gets no answer in time is reported, and what became of it is the caller's to judge.
+    """
+
+    def __init__(self, host: str, port: int, unit_id: int, timeout_s: float) -> None:
+        self.address = f"{host}:{port} unit {unit_id}"
+        self._host, self._port, self._unit_id, self._timeout_s = host, port, unit_id, timeout_s
+        self._client: AsyncModbusTcpClient | None = None
+        self._outstanding = 0
+
+    @property
+    def busy(self) -> bool:
+        """Whether an answer is being waited for."""
+        return self._outstanding > 0
+
+    async def connect(self) -> None:
+        """Open the connection; raises `NotConnectedError` that says why it cannot be opened."""
+        client = AsyncModbusTcpClient(
+            self._host, port=self._port, timeout=self._timeout_s, retries=0, reconnect_delay=0
+        )
+        try:
+            # pymodbus's own connect() turns every reason into False; this is the call that it makes inside.
+            await asyncio.wait_for(client.ctx.call_create(), self._timeout_s)
+        except TimeoutError as error:
+            raise NotConnectedError(
+                Alarm.CONNECTION_TIMEOUT, f"{self.address}: no answer to the connection within {self._timeout_s} s."
+            ) from error
+        except ConnectionRefusedError as error:
+            raise NotConnectedError(
+                Alarm.CONNECTION_REFUSED, f"{self.address}: connection refused, nothing listens on port {self._port}."
+            ) from error
+        except socket.gaierror as error:
+            raise NotConnectedError(
+                Alarm.DEVICE_UNAVAILABLE, f"{self.address}: the name {self._host!r} cannot be resolved ({error})."
+            ) from error
+        except OSError as error:
+            reason = "no route to this address" if error.errno in _NO_ROUTE else "the connection failed"
+            raise NotConnectedError(
+                Alarm.DEVICE_UNAVAILABLE, f"{self.address}: {reason} ({error.strerror or error})."
+            ) from error
+        self._client = client
+
+    def close(self) -> None:
+        """Close the connection, if there is one."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    async def read_words(self, word: int, count: int) -> list[int]:
+        """Read ``count`` words from %R``word`` on (FC03)."""
+        reply = await self._transact(
+            f"reading {count} words from %R{word}",
+            lambda client: client.read_holding_registers(word - 1, count=count, device_id=self._unit_id),
+        )
+        if len(reply.registers) != count:
+            raise PortError(
+                Alarm.PROTOCOL_ERROR, f"{self.address}: asked for {count} words, got {len(reply.registers)}."
+            )
+        return list(reply.registers)
+
+    async def write_words(self, word: int, values: list[int]) -> None:
+        """Write words from %R``word`` on (FC16)."""
+        await self._transact(
+            f"writing {len(values)} words to %R{word}",
+            lambda client: client.write_registers(word - 1, values, device_id=self._unit_id),
+        )
+
+    async def read_input(self, number: int) -> bool:
+        """Read DI[number] (FC02)."""
+        reply = await self._transact(
+            f"reading DI[{number}]",
+            lambda client: client.read_discrete_inputs(number - 1, count=1, device_id=self._unit_id),
+        )
+        return self._first_bit(reply)
+
+    async def read_output(self, number: int) -> bool:
+        """Read DO[number] back (FC01)."""
+        reply = await self._transact(
+            f"reading DO[{number}]",
+            lambda client: client.read_coils(number - 1, count=1, device_id=self._unit_id),
+        )
+        return self._first_bit(reply)
+
+    async def write_output(self, number: int, *, on: bool) -> None:
+        """Write DO[number] (FC05)."""
+        await self._transact(
+            f"writing DO[{number}]",
+            lambda client: client.write_coil(number - 1, on, device_id=self._unit_id),
+        )
+
+    def _first_bit(self, reply: ModbusPDU) -> bool:
+        if not reply.bits:
+            raise PortError(Alarm.PROTOCOL_ERROR, f"{self.address}: an answer without the bit that was asked for.")
+        return bool(reply.bits[0])
+
+    async def _transact(self, what: str, request: Callable[[AsyncModbusTcpClient], Awaitable[ModbusPDU]]) -> ModbusPDU:
+        """Send one request and return its answer; pymodbus lets one request out at a time and matches answers by id."""
+        client = self._client
+        if client is None or not client.connected:
+            raise NotConnectedError(Alarm.CONNECTION_LOST, f"{self.address}: {what}: not connected.")
+        self._outstanding += 1
+        try:
+            reply = await request(client)
+        except (ModbusException, OSError) as error:
+            if client.connected:
+                raise NotConnectedError(
+                    Alarm.CONNECTION_TIMEOUT, f"{self.address}: {what}: no usable answer within {self._timeout_s} s."
+                ) from error
+            raise NotConnectedError(
+                Alarm.CONNECTION_LOST, f"{self.address}: {what}: the connection was cut."
+            ) from error
+        finally:
+            self._outstanding -= 1
+        if reply.isError():
+            raise PortError(
+                Alarm.PROTOCOL_ERROR,
+                f"{self.address}: {what}: the controller answers Modbus exception {reply.exception_code}.",
+            )
+        return reply

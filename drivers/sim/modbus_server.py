@@ -1,0 +1,220 @@
+"""A small Modbus TCP server for controller doubles, with faults on demand.
+
+Written from the Modbus application protocol (V1.1b3) and messaging guide, not from the driver: it shares no code
+with what talks to it. Simulated time stands still from the arrival of a request until its answer is sent.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+from enum import Enum
+from typing import TYPE_CHECKING, Final, Protocol
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+_HEADER: Final = struct.Struct(">HHHB")
+_ILLEGAL_FUNCTION: Final = 1
+_ILLEGAL_VALUE: Final = 3
+_DEVICE_FAILURE: Final = 4
+_EXCEPTION_FLAG: Final = 0x80
+_COIL_ON: Final = 0xFF00
+_READ_COILS, _READ_INPUTS, _READ_WORDS = 1, 2, 3
+_WRITE_COIL, _WRITE_WORD, _WRITE_COILS, _WRITE_WORDS = 5, 6, 15, 16
+_MAX_WORDS: Final = 125
+_MAX_BITS: Final = 2000
+_NONSENSE: Final = b"HTTP/1.1 400 Bad Request\r\n\r\n"
+
+
+class HoldableTime(Protocol):
+    """The part of the simulated time that a server needs."""
+
+    def hold(self) -> AbstractContextManager[None]:
+        """Let simulated time stand still inside the block."""
+        ...
+
+
+class ModbusDevice(Protocol):
+    """What is behind the wire; addresses are 0-based as on the wire. A ValueError is answered as illegal value."""
+
+    def read_words(self, address: int, count: int) -> list[int]:
+        """Return holding registers."""
+        ...
+
+    def write_words(self, address: int, values: list[int]) -> None:
+        """Set holding registers."""
+        ...
+
+    def read_coils(self, address: int, count: int) -> list[bool]:
+        """Return coils."""
+        ...
+
+    def write_coils(self, address: int, values: list[bool]) -> None:
+        """Set coils."""
+        ...
+
+    def read_inputs(self, address: int, count: int) -> list[bool]:
+        """Return discrete inputs."""
+        ...
+
+
+class WireFault(Enum):
+    """What a server does wrong, from now on until it is told otherwise."""
+
+    NONE = "none"
+    SILENT = "takes requests, carries them out and does not answer"
+    DEAF = "takes requests, ignores them and does not answer"
+    LATE = "answers a request only when the next one arrives"
+    HALF_PACKET = "sends the first half of an answer and cuts the connection"
+    NONSENSE = "answers with what is not Modbus"
+    EXCEPTION = "answers every request with exception 4, device failure"
+    CUT = "closes the connection instead of answering"
+
+
+class ModbusServer:
+    """Serves one device on loopback; like the controller it takes one connection at a time and refuses a second."""
+
+    def __init__(self, device: ModbusDevice, time: HoldableTime, port: int, unit_id: int) -> None:
+        self.fault = WireFault.NONE
+        self.requests = 0
+        self._device, self._time, self._port, self._unit_id = device, time, port, unit_id
+        self._listener: socket.socket | None = None
+        self._connection: socket.socket | None = None
+        self._threads: list[threading.Thread] = []
+        self._lock = threading.Lock()
+
+    def start(self) -> int:
+        """Listen; return the bound port."""
+        listener = socket.create_server(("127.0.0.1", self._port))
+        self._listener = listener
+        self._port = int(listener.getsockname()[1])
+        self._spawn(self._accept, listener)
+        return self._port
+
+    def close(self) -> None:
+        """Close listener and connection and wait for the threads."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            with contextlib.suppress(OSError):  # not connected: shutdown only wakes the accept
+                listener.shutdown(socket.SHUT_RDWR)
+            listener.close()
+        self.cut()
+        for thread in self._threads:
+            thread.join()
+        self._threads.clear()
+
+    def cut(self) -> None:
+        """Close the connection at once, as a pulled cable that is plugged in again would."""
+        with self._lock:
+            connection, self._connection = self._connection, None
+        if connection is not None:
+            with contextlib.suppress(OSError):  # the client may have closed it already
+                connection.shutdown(socket.SHUT_RDWR)
+
+    def _spawn(self, target: object, argument: socket.socket) -> None:
+        thread = threading.Thread(target=target, args=(argument,), name="Modbus double", daemon=True)  # type: ignore[arg-type]
+        self._threads.append(thread)
+        thread.start()
+
+    def _accept(self, listener: socket.socket) -> None:
+        while True:
+            try:
+                connection, _ = listener.accept()
+            except OSError:  # the listener was closed
+                return
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with self._lock:
+                taken = self._connection is not None
+                if not taken:
+                    self._connection = connection
+            if taken:
+                connection.close()
+            else:
+                self._spawn(self._serve, connection)
+
+    def _serve(self, connection: socket.socket) -> None:
+        late = b""
+        with connection, contextlib.suppress(OSError):  # a connection that is cut ends its thread
+            while True:
+                header = _receive(connection, _HEADER.size)
+                if not header:
+                    break
+                transaction, protocol, length, unit = _HEADER.unpack(header)
+                pdu = _receive(connection, length - 1)
+                if protocol != 0 or not pdu:
+                    break
+                if unit != self._unit_id:  # a wrong unit id meets silence on the real server too
+                    continue
+                with self._time.hold():
+                    self.requests += 1
+                    fault = self.fault
+                    if fault is WireFault.DEAF:
+                        continue
+                    answer = self._answer(pdu, fault)
+                    packet = _HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer
+                    if fault is WireFault.SILENT:
+                        continue
+                    if fault is WireFault.CUT:
+                        break
+                    if fault is WireFault.HALF_PACKET:
+                        connection.sendall(packet[: len(packet) // 2])
+                        break
+                    if fault is WireFault.LATE:
+                        packet, late = late, packet
+                    connection.sendall(_NONSENSE if fault is WireFault.NONSENSE else packet)
+        with self._lock:
+            if self._connection is connection:
+                self._connection = None
+
+    def _answer(self, pdu: bytes, fault: WireFault) -> bytes:
+        function = pdu[0]
+        if fault is WireFault.EXCEPTION:
+            return bytes([function | _EXCEPTION_FLAG, _DEVICE_FAILURE])
+        try:
+            return bytes([function]) + self._carry_out(function, pdu[1:])
+        except NotImplementedError:
+            return bytes([function | _EXCEPTION_FLAG, _ILLEGAL_FUNCTION])
+        except (ValueError, struct.error):
+            return bytes([function | _EXCEPTION_FLAG, _ILLEGAL_VALUE])
+
+    def _carry_out(self, function: int, data: bytes) -> bytes:
+        """Return the answer's data; raises NotImplementedError or ValueError as `_answer` expects."""
+        device = self._device
+        if function in {_WRITE_COIL, _WRITE_WORD}:
+            address, value = struct.unpack(">HH", data)
+            if function == _WRITE_COIL:
+                device.write_coils(address, [value == _COIL_ON])
+            else:
+                device.write_words(address, [value])
+            return data
+        if function not in {_READ_COILS, _READ_INPUTS, _READ_WORDS, _WRITE_COILS, _WRITE_WORDS}:
+            raise NotImplementedError
+        address, count = struct.unpack(">HH", data[:4])
+        if not 0 < count <= (_MAX_WORDS if function in {_READ_WORDS, _WRITE_WORDS} else _MAX_BITS):
+            raise ValueError(count)
+        if function == _READ_WORDS:
+            words = device.read_words(address, count)
+            return struct.pack(f">B{count}H", 2 * count, *words)
+        if function == _WRITE_WORDS:
+            device.write_words(address, list(struct.unpack(f">{count}H", data[5:])))
+            return data[:4]
+        if function == _WRITE_COILS:
+            device.write_coils(address, [bool(data[5 + i // 8] >> i % 8 & 1) for i in range(count)])
+            return data[:4]
+        bits = device.read_coils(address, count) if function == _READ_COILS else device.read_inputs(address, count)
+        packed = sum(bit << i for i, bit in enumerate(bits)).to_bytes((count + 7) // 8, "little")
+        return bytes([len(packed)]) + packed
+
+
+def _receive(connection: socket.socket, count: int) -> bytes:
+    """Return exactly ``count`` bytes, or none where the connection ends before."""
+    received = b""
+    while len(received) < count:
+        piece = connection.recv(count - len(received))
+        if not piece:
+            return b""
+        received += piece
+    return received
