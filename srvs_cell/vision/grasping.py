@@ -1,0 +1,102 @@
+"""How a parallel gripper takes a recognised workpiece from above, or why it cannot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from srvs_cell.geometry import wrap_angle_deg
+from srvs_cell.scene import Grasp
+from srvs_cell.vision.face_fit import Figure
+
+if TYPE_CHECKING:
+    from srvs_cell.geometry import Array
+    from srvs_cell.vision.face_fit import Face
+
+_HALF_TURN_DEG = 180.0
+_FLAT_NORMAL_DEG = 30.0
+"""From a hexagon's corner to the middle of the next flat."""
+
+
+@dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
+class GraspParameters:
+    """What the gripper can take and how it takes it."""
+
+    depth_mm: Annotated[
+        float, Field(gt=0.0, le=200.0, description="how far the finger tips reach below the top of the gripped walls")
+    ] = 12.0
+    clearance_mm: Annotated[
+        float, Field(ge=0.0, le=100.0, description="least height of the finger tips above the table")
+    ] = 3.0
+    min_wall_mm: Annotated[
+        float, Field(gt=0.0, le=200.0, description="least height of wall between the finger tips and its upper edge")
+    ] = 3.0
+    min_opening_mm: Annotated[float, Field(ge=0.0, le=1000.0, description="least opening of the closed jaws")] = 0.0
+    max_opening_mm: Annotated[
+        float, Field(gt=0.0, le=1000.0, description="widest part that fits between the open jaws")
+    ] = 80.0
+    tolerance_mm: Annotated[
+        float, Field(gt=0.0, le=100.0, description="how far off in x or y a grasp may be and still hold")
+    ] = 4.0
+    sigmas: Annotated[
+        float, Field(gt=0.0, le=10.0, description="how many standard deviations of the position must fit the tolerance")
+    ] = 2.0
+
+
+def plan_grasp(
+    face: Face, covariance_mm2: Array, table_z_mm: float, parameters: GraspParameters
+) -> tuple[Grasp | None, str]:
+    """Return the grasp of a workpiece by its top face, or None and the reason.
+
+    The jaws close along the short side; on an inclined face across the slope, where both walls are of one height, and
+    along it only where the part is too wide across.
+
+    Args:
+        face: the top face, base frame.
+        covariance_mm2: 3x3 of its centre.
+        table_z_mm: height of the table.
+        parameters: what the gripper can take.
+    """
+    sigma_mm = float(np.sqrt(np.linalg.eigvalsh(covariance_mm2[:2, :2]).max()))
+    if parameters.sigmas * sigma_mm > parameters.tolerance_mm:
+        return None, (
+            f"position uncertain: {parameters.sigmas:g} sigma are {parameters.sigmas * sigma_mm:.1f} mm, "
+            f"the grasp allows {parameters.tolerance_mm:g} mm"
+        )
+    refusals = []
+    for yaw_deg, opening_mm, wall_mm in _choices(face, table_z_mm):
+        refusal = _refusal(opening_mm, wall_mm, parameters)
+        if not refusal:
+            tip_z_mm = max(table_z_mm + parameters.clearance_mm, table_z_mm + wall_mm - parameters.depth_mm)
+            position = (face.x_mm, face.y_mm, tip_z_mm)
+            return Grasp(position, wrap_angle_deg(yaw_deg, _HALF_TURN_DEG) % _HALF_TURN_DEG, opening_mm), ""
+        refusals.append(refusal)
+    return None, "; ".join(refusals)
+
+
+def _choices(face: Face, table_z_mm: float) -> list[tuple[float, float, float]]:
+    """Return (yaw of the closing motion, opening, height of the lower of both gripped walls), the best first."""
+    angle_deg = float(np.rad2deg(face.angle_rad))
+    height_mm = face.z_mm - table_z_mm
+    if face.figure is Figure.CIRCLE:
+        return [(0.0, face.length_mm, height_mm)]
+    if face.figure is Figure.HEXAGON:
+        return [(angle_deg + _FLAT_NORMAL_DEG, face.width_mm, height_mm)]
+    # a wall that rises along its length is gripped by its middle, at the centre's height
+    across = (angle_deg + 90.0, face.width_mm, height_mm - abs(face.slope_v) * face.width_mm / 2.0)
+    along = (angle_deg, face.length_mm, height_mm - abs(face.slope_u) * face.length_mm / 2.0)
+    return [along, across] if abs(face.slope_v) > abs(face.slope_u) else [across, along]
+
+
+def _refusal(opening_mm: float, wall_mm: float, parameters: GraspParameters) -> str:
+    if opening_mm > parameters.max_opening_mm:
+        return f"too wide: {opening_mm:.1f} mm, the gripper opens {parameters.max_opening_mm:g} mm"
+    if opening_mm < parameters.min_opening_mm:
+        return f"too narrow: {opening_mm:.1f} mm, the gripper closes to {parameters.min_opening_mm:g} mm"
+    least_mm = parameters.clearance_mm + parameters.min_wall_mm
+    if wall_mm < least_mm:
+        return f"too low: the gripped wall is {wall_mm:.1f} mm high, at least {least_mm:g} mm are needed"
+    return ""

@@ -1,0 +1,309 @@
+"""Step 11: planes to objects.
+
+From above a camera sees top faces, slivers of side faces, shadows and print. A surface that rises over the table and
+whose outline, fitted to the edges of both images, is a rectangle, a circle or a hexagon is a top face; what lies in
+the column under it (its side faces) or in it (print) belongs to it. The figure and the inclination of the top face
+say the kind. Surfaces at the height of the table, shadows among them, are table. What rises and is no known figure is
+reported as unknown with its surfaces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated
+
+import cv2
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from srvs_cell.scene import UNKNOWN_KIND, Workpiece
+from srvs_cell.vision.face_fit import EdgeField, Face, FaceFit, Figure, fit_face
+from srvs_cell.vision.grasping import GraspParameters, plan_grasp
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from srvs_cell.geometry import Array
+    from srvs_cell.scene import PlaneImage, Surface
+    from srvs_cell.vision.rectification import RectifiedRig
+
+_HALF_TURN_DEG = 180.0
+_MIN_POINTS = 5
+_SIDE_FACE_MARGIN_MM = 4.0
+_COLUMN_SHARE = 0.5
+_TOP_MARGIN_MM = 5.0
+
+
+@checked_dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
+class RecognitionParameters:
+    """Limits of the recognition."""
+
+    min_height_mm: Annotated[
+        float, Field(gt=0.0, le=500.0, description="what rises less above the table is table, shadow or print")
+    ] = 8.0
+    max_height_mm: Annotated[
+        float, Field(gt=0.0, le=2000.0, description="what rises more above the table is a false match")
+    ] = 200.0
+    min_size_mm: Annotated[float, Field(gt=0.0, le=500.0, description="least side of a top face")] = 10.0
+    max_size_mm: Annotated[float, Field(gt=0.0, le=2000.0, description="greatest side of a top face")] = 160.0
+    min_unknown_area_mm2: Annotated[
+        float, Field(gt=0.0, le=1e6, description="least area of a surface that is reported as unknown")
+    ] = 200.0
+    max_rms_px: Annotated[
+        float, Field(gt=0.0, le=3.0, description="greatest distance between a figure and the edges")
+    ] = 1.2
+    min_support: Annotated[
+        float, Field(gt=0.0, le=1.0, description="least share of a figure's outline that has an edge in both images")
+    ] = 0.7
+    min_gradient: Annotated[
+        float, Field(gt=0.0, le=100.0, description="least gradient of an edge, grey values per pixel")
+    ] = 0.5
+    min_inclination_deg: Annotated[
+        float, Field(gt=0.0, lt=90.0, description="a top face inclined by less is level")
+    ] = 4.0
+    max_inclination_deg: Annotated[
+        float, Field(gt=0.0, lt=90.0, description="a face inclined by more is a side face")
+    ] = 50.0
+    inclined_gain: Annotated[
+        float, Field(gt=0.0, le=1.0, description="an inclined figure must fit better than the level one by this factor")
+    ] = 0.7
+    grasp: GraspParameters = Field(default_factory=GraspParameters)
+
+
+@dataclass(frozen=True, eq=False)
+class _Top:
+    """A top face and the surfaces that belong to its object."""
+
+    fit: FaceFit
+    surfaces: tuple[int, ...]
+
+
+def recognise(
+    surfaces: Iterable[Surface],
+    left: PlaneImage,
+    right: PlaneImage,
+    rig: RectifiedRig,
+    table_z_mm: float,
+    parameters: RecognitionParameters | None = None,
+) -> tuple[Workpiece, ...]:
+    """Group surfaces into objects, recognise their kinds and measure them.
+
+    Args:
+        surfaces: matched planes in the base frame.
+        left: the rectified left image with its planes.
+        right: the rectified right image with its planes.
+        rig: the rectified cameras.
+        table_z_mm: height of the table in the base frame.
+        parameters: limits; the defaults where None.
+
+    Returns:
+        Workpieces, the highest first; shapes that are not recognised have the kind ``unknown``.
+    """
+    limits = parameters or RecognitionParameters()
+    fields = (EdgeField.of(left.grey), EdgeField.of(right.grey))
+    candidates = sorted(surfaces, key=_plan_area_mm2, reverse=True)
+    fitted = [(surface, _fit_top(surface, fields, rig, table_z_mm, limits)) for surface in candidates]
+    tops: list[_Top] = []
+    leftover: list[Surface] = []
+    for surface, fit in fitted:
+        if fit is None:
+            leftover.append(surface)
+            continue
+        owner = _owner(surface, fit, tops)
+        if owner is None:
+            tops.append(_Top(fit, (surface.id,)))
+        else:
+            tops[owner] = replace(tops[owner], surfaces=(*tops[owner].surfaces, surface.id))
+    unknown: list[Surface] = []
+    for surface in leftover:
+        owner = _column(surface.outline_mm, surface.centre_mm[2], tops)
+        if owner is not None:
+            tops[owner] = replace(tops[owner], surfaces=(*tops[owner].surfaces, surface.id))
+        elif _rises(surface, table_z_mm, limits):
+            unknown.append(surface)
+    workpieces = [_workpiece(top, rig, table_z_mm, limits) for top in tops]
+    workpieces += [_unknown(surface, table_z_mm) for surface in unknown]
+    workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
+    return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
+
+
+def _plan_area_mm2(surface: Surface) -> float:
+    return float(cv2.contourArea(surface.outline_mm[:, :2].astype(np.float32)))
+
+
+def _fit_top(
+    surface: Surface,
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    table_z_mm: float,
+    limits: RecognitionParameters,
+) -> FaceFit | None:
+    """Return the best figure of a surface as a top face, or None where it is none."""
+    if not table_z_mm - limits.min_height_mm < surface.centre_mm[2] < table_z_mm + limits.max_height_mm:
+        return None
+    best: FaceFit | None = None
+    for start in _starts(surface, rig):
+        fit = fit_face(start, fields, rig, inclined=False, min_gradient=limits.min_gradient)
+        if fit is not None and (best is None or fit.rms_px < best.rms_px):
+            best = fit
+    if best is not None and best.face.figure is Figure.RECTANGLE:
+        best = _inclined(best, fields, rig, limits)
+    return best if best is not None and _is_top(best, table_z_mm, limits) else None
+
+
+def _starts(surface: Surface, rig: RectifiedRig) -> list[Face]:
+    """Return the figures to begin with: the region's outline laid on the level plane through its centre."""
+    x, y, disparity = rig.project_px(surface.outline_mm)
+    centre_z_mm = surface.centre_mm[2]
+    a, b, c = rig.plane_disparity(np.array([0.0, 0.0, 1.0]), centre_z_mm)
+    level = a * x + b * y + c
+    outline = rig.points_mm(x, y, np.where(level > 0.0, level, disparity))[:, :2].astype(np.float32)
+    if len(outline) < _MIN_POINTS:
+        return []
+    hull = cv2.convexHull(outline)
+    (x_mm, y_mm), (length_mm, width_mm), angle_deg = cv2.minAreaRect(hull)
+    if width_mm > length_mm:
+        length_mm, width_mm, angle_deg = width_mm, length_mm, angle_deg + 90.0
+    angle = float(np.deg2rad(angle_deg))
+    rectangle = Face(Figure.RECTANGLE, x_mm, y_mm, centre_z_mm, angle, length_mm, width_mm)
+    if width_mm <= 0.0:
+        return []
+    moments = cv2.moments(hull)
+    if moments["m00"] <= 0.0:
+        return []
+    middle = (moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
+    diameter = float(np.sqrt(moments["m00"] * 4.0 / np.pi))
+    circle = Face(Figure.CIRCLE, *middle, centre_z_mm, 0.0, diameter, diameter)
+    across_corners = float(np.sqrt(moments["m00"] * 8.0 / (3.0 * np.sqrt(3.0))))
+    corner = _hexagon_angle(hull.reshape(-1, 2).astype(np.float64) - middle)
+    hexagon = Face(Figure.HEXAGON, *middle, centre_z_mm, corner, across_corners, across_corners * np.sqrt(3.0) / 2.0)
+    return [rectangle, circle, hexagon]
+
+
+def _hexagon_angle(hull: Array) -> float:
+    """Return the direction of a corner: the phase of the radius' sixth harmonic, weighted by arc length."""
+    turn = np.arctan2(hull[:, 1], hull[:, 0])
+    radius = np.hypot(hull[:, 0], hull[:, 1])
+    arc = 0.5 * np.linalg.norm(np.roll(hull, -1, axis=0) - np.roll(hull, 1, axis=0), axis=1)
+    harmonic = (arc * radius * np.exp(6j * turn)).sum()
+    return float(np.angle(harmonic) / 6.0)
+
+
+def _inclined(
+    level: FaceFit, fields: tuple[EdgeField, EdgeField], rig: RectifiedRig, limits: RecognitionParameters
+) -> FaceFit:
+    """Return the inclined rectangle where it explains the edges clearly better than the level one."""
+    free = fit_face(level.face, fields, rig, inclined=True, min_gradient=limits.min_gradient)
+    if free is None or not limits.min_inclination_deg <= free.face.inclination_deg <= limits.max_inclination_deg:
+        return level
+    return free if free.rms_px < limits.inclined_gain * level.rms_px else level
+
+
+def _is_top(fit: FaceFit, table_z_mm: float, limits: RecognitionParameters) -> bool:
+    face = fit.face
+    return (
+        fit.rms_px <= limits.max_rms_px
+        and fit.support >= limits.min_support
+        and limits.min_size_mm <= min(face.length_mm, face.width_mm)
+        and max(face.length_mm, face.width_mm) <= limits.max_size_mm
+        and limits.min_height_mm <= _height_mm(face, table_z_mm) <= limits.max_height_mm
+    )
+
+
+def _height_mm(face: Face, table_z_mm: float) -> float:
+    return float(face.corners_mm()[:, 2].max()) - table_z_mm
+
+
+def _owner(surface: Surface, fit: FaceFit, tops: list[_Top]) -> int | None:
+    """Return the top face that a fitted surface repeats or lies in."""
+    return _column(fit.face.corners_mm(), min(surface.centre_mm[2], fit.face.z_mm), tops)
+
+
+def _column(outline_mm: Array, z_mm: float, tops: list[_Top]) -> int | None:
+    """Return the top face whose column, widened a little, holds most of an outline that is not above it."""
+    for number, top in enumerate(tops):
+        face = top.fit.face
+        if z_mm > _height_mm(face, 0.0) + _TOP_MARGIN_MM:
+            continue
+        polygon = face.corners_mm()[:, :2].astype(np.float32)
+        inside = [
+            cv2.pointPolygonTest(polygon, (float(x), float(y)), measureDist=True) > -_SIDE_FACE_MARGIN_MM
+            for x, y, *_ in outline_mm
+        ]
+        if np.mean(inside) > _COLUMN_SHARE:
+            return number
+    return None
+
+
+def _rises(surface: Surface, table_z_mm: float, limits: RecognitionParameters) -> bool:
+    """Whether a surface is a face of something that stands on the table, and no wall."""
+    height_mm = surface.centre_mm[2] - table_z_mm
+    steepest = float(np.cos(np.deg2rad(limits.max_inclination_deg)))
+    return (
+        limits.min_height_mm <= height_mm <= limits.max_height_mm
+        and surface.normal[2] > steepest
+        and _plan_area_mm2(surface) >= limits.min_unknown_area_mm2
+    )
+
+
+def _workpiece(top: _Top, rig: RectifiedRig, table_z_mm: float, limits: RecognitionParameters) -> Workpiece:
+    face = _long_side_first(top.fit.face)
+    centre = (face.x_mm, face.y_mm, face.z_mm)
+    covariance = top.fit.covariance + rig.error_budget.systematic_mm2(centre)
+    grasp, refusal = plan_grasp(face, covariance, table_z_mm, limits.grasp)
+    return Workpiece(
+        id=0,
+        kind=_kind(face),
+        position_mm=centre,
+        height_mm=_height_mm(face, table_z_mm),
+        yaw_deg=float(np.rad2deg(face.angle_rad)) % _HALF_TURN_DEG if face.figure is Figure.RECTANGLE else None,
+        size_mm=(face.length_mm, face.width_mm),
+        covariance_mm2=covariance,
+        footprint_mm=face.corners_mm()[:, :2],
+        surfaces=top.surfaces,
+        grasp=grasp,
+        grasp_refusal=refusal,
+    )
+
+
+def _kind(face: Face) -> str:
+    if face.figure is Figure.CIRCLE:
+        return "cylinder"
+    if face.figure is Figure.HEXAGON:
+        return "prism"
+    return "wedge" if face.inclination_deg > 0.0 else "cuboid"
+
+
+def _long_side_first(face: Face) -> Face:
+    if face.figure is not Figure.RECTANGLE or face.length_mm >= face.width_mm:
+        return face
+    # turned by a quarter: the new length runs along the old width, the new width against the old length
+    return replace(
+        face,
+        angle_rad=face.angle_rad + np.pi / 2.0,
+        length_mm=face.width_mm,
+        width_mm=face.length_mm,
+        slope_u=face.slope_v,
+        slope_v=-face.slope_u,
+    )
+
+
+def _unknown(surface: Surface, table_z_mm: float) -> Workpiece:
+    hull = cv2.convexHull(surface.outline_mm[:, :2].astype(np.float32))
+    _, (length_mm, width_mm), angle_deg = cv2.minAreaRect(hull)
+    if width_mm > length_mm:
+        length_mm, width_mm, angle_deg = width_mm, length_mm, angle_deg + 90.0
+    return Workpiece(
+        id=0,
+        kind=UNKNOWN_KIND,
+        position_mm=surface.centre_mm,
+        height_mm=float(surface.centre_mm[2]) - table_z_mm,
+        yaw_deg=float(angle_deg) % _HALF_TURN_DEG,
+        size_mm=(float(length_mm), float(width_mm)),
+        covariance_mm2=surface.covariance_mm2,
+        footprint_mm=hull.reshape(-1, 2).astype(np.float64),
+        surfaces=(surface.id,),
+        grasp=None,
+        grasp_refusal="the shape is in no library",
+    )
