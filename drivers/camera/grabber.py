@@ -46,7 +46,7 @@ class Capture(Protocol):
     """An open stream, used by one thread at a time. Any call may raise `PortError`."""
 
     def grab(self) -> FrameStamp | None:
-        """Wait for the next frame; None where none came."""
+        """Wait, for some seconds at most, for the next frame; None where none came."""
         ...
 
     def retrieve(self) -> NDArray[np.uint8]:
@@ -54,7 +54,7 @@ class Capture(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the device; wakes a `grab` that waits, where the device can."""
+        """Let go of the device; called when no other call is under way."""
         ...
 
 
@@ -139,10 +139,9 @@ class GrabbingCamera:
     async def disconnect(self) -> None:
         """Close the device."""
         capture, self._capture = self._capture, None
-        self._stopping.set()
+        await self._end_thread()
         if capture is not None:
             await asyncio.to_thread(capture.close)
-        await self._end_thread()
         self._lost = None
         self._lifecycle = Lifecycle.DISCONNECTED
 
@@ -233,7 +232,10 @@ class GrabbingCamera:
                 wanted.resolve(result)
 
     def _picture(self, capture: Capture, stamp: FrameStamp) -> Frame | PortError:
-        image = capture.retrieve()
+        try:
+            image = capture.retrieve()
+        except FrameError as error:  # one bad frame does not end the stream
+            return error
         size_px = (image.shape[1], image.shape[0])
         if self._size_px is not None and size_px != self._size_px:
             return FrameError(
