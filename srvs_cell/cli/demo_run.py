@@ -1,0 +1,345 @@
+"""One demo: start the simulated cell and the daemon, work through the operator's commands, judge, report."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import yaml
+
+from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.cli.client import DaemonClient
+from srvs_cell.cli.simulator import start_simulator, stop_simulator
+from srvs_cell.config.embedded import embedded_config
+from srvs_cell.service.grading import Goal, Grade, TruePart, grade
+from srvs_cell.service.pictures import PlanArrow, PlanPart, draw_plan
+from srvs_cell.service.report import Figure, Report, compare, part_rows, render_report
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+_DAEMON_START_S, _DAEMON_STOP_S, _JOB_LIMIT_S, _STATE_LIMIT_S = 30.0, 15.0, 900.0, 60.0
+_POLL_S = 0.05
+_WORKING = {"Starting", "Execute", "Unholding", "Completing", "Suspending", "Unsuspending"}
+_LOG_LINES = 15
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """What the user chose."""
+
+    objects: int
+    seed: int
+    out: Path
+    speed: float
+    imperfections: str
+
+    def command(self) -> str:
+        """Return the command line that repeats this run."""
+        return f"srvs-cell demo --objects {self.objects} --seed {self.seed} --imperfections {self.imperfections}"
+
+
+class Truth:
+    """The simulator's control socket: what really happened."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=30.0)
+        self._lines = self._socket.makefile("rb")
+
+    def parts(self) -> list[TruePart]:
+        """Return every part as it stands now."""
+        self._socket.sendall(b'{"op": "truth"}\n')
+        answer = json.loads(self._lines.readline())
+        return [TruePart.from_truth(part) for part in answer["parts"]]
+
+    def close(self) -> None:
+        """Let go of the socket."""
+        self._lines.close()
+        self._socket.close()
+
+
+def run_demo(options: DemoOptions, progress: Callable[[str], None]) -> dict[str, Any]:
+    """Run one demo and write its report.
+
+    Args:
+        options: what the user chose.
+        progress: called with a line of text at each step.
+
+    Returns:
+        The object that ``demo --json`` prints.
+
+    Raises:
+        AlarmError: the simulated cell or the daemon did not start, or did not answer.
+    """
+    out = options.out
+    if out.exists():
+        _clear(out)
+    out.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        # A unix socket's path is limited to about 100 characters: not below --out.
+        short = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="srvs-")))
+        progress(f"simulated cell: {options.objects} parts, seed {options.seed}, imperfections {options.imperfections}")
+        cell = stack.enter_context(_simulator(options, out / "simulator.log", short))
+        truth = Truth(cell["control_port"])
+        stack.callback(truth.close)
+        config = _write_config(cell, out, short)
+        before = truth.parts()
+        client = stack.enter_context(_daemon(config, short / "run" / "api.sock", out / "daemon.log"))
+        status = _job(client, progress)
+        after = truth.parts()
+    return _conclude(options, status, before, after, progress)
+
+
+def _clear(out: Path) -> None:
+    """Empty the folder of an earlier demo; refuse any other folder."""
+    if any(out.iterdir()) and not (out / "demo.json").exists() and not (out / "cell.yaml").exists():
+        raise AlarmError(Alarm.FILE_INVALID, f"{out} is not empty and holds no earlier demo; choose another --out.")
+    for entry in out.iterdir():
+        shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+
+
+@contextmanager
+def _simulator(options: DemoOptions, log_path: Path, short: Path) -> Iterator[dict[str, Any]]:
+    arguments = [
+        "--objects", str(options.objects), "--seed", str(options.seed), "--speed", str(options.speed),
+        "--imperfections", options.imperfections, "--clock-page", str(short / "clock"),
+        "--calibration-out", str(options.out / "calibration.yaml"),
+    ]  # fmt: skip
+    process, listening = start_simulator(arguments, log_path)
+    try:
+        yield listening
+    finally:
+        stop_simulator(process)
+
+
+def _write_config(cell: Mapping[str, Any], out: Path, short: Path) -> Path:
+    """Write the embedded simulation config with what this simulator listens on."""
+    config = yaml.safe_load(embedded_config())
+    x, y, z, w, p, r = cell["observe_pose"]
+    config["cell"]["look"]["observe_pose"] = {"xyz_mm": [x, y, z], "wpr_deg": [w, p, r]}
+    config["cell"]["look"]["baseline_mm"] = cell["baseline_mm"]
+    config["cell"]["table_z_mm"] = cell["table_z_mm"]
+    config["calibration"] = "calibration.yaml"
+    config["devices"]["clock"]["path"] = cell["clock_page"]
+    config["devices"]["camera"]["port"] = cell["camera_port"]
+    config["devices"]["arm"]["port"] = cell["modbus_port"]
+    config["service"] = {
+        **config["service"],
+        "socket_path": str(short / "run" / "api.sock"),
+        "tcp_port": None,
+        "state_dir": "state",
+    }
+    path = out / "cell.yaml"
+    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
+    return path
+
+
+@contextmanager
+def _daemon(config: Path, socket_path: Path, log_path: Path) -> Iterator[DaemonClient]:
+    command = [sys.executable, "-m", "srvs_cell.cli.main", "run", "--config", str(config)]
+    with log_path.open("w", encoding="utf-8") as log:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)  # noqa: S603 - our own
+    try:
+        deadline_s = time.monotonic() + _DAEMON_START_S
+        while not socket_path.exists():
+            if process.poll() is not None or time.monotonic() > deadline_s:
+                tail = "\n".join(log_path.read_text(encoding="utf-8").splitlines()[-_LOG_LINES:])
+                raise AlarmError(Alarm.NO_DAEMON, f"The daemon did not start; {log_path} ends:\n{tail}\n")
+            time.sleep(_POLL_S)
+        with DaemonClient(socket_path) as client:
+            yield client
+    finally:
+        process.terminate()
+        try:
+            process.wait(_DAEMON_STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _job(client: DaemonClient, progress: Callable[[str], None]) -> dict[str, Any]:
+    """Give the operator's commands and watch until the job ends; return the last status."""
+    for command, state in (("clear", "Stopped"), ("reset", "Idle")):
+        status = _command(client, command, state)
+        if status["state"] != state:
+            return status
+        progress(f"{command}: {state}")
+    _accepted(client, "start")
+    started_s = time.monotonic()
+    shown: tuple[Any, ...] = ()
+    for status in client.changes():
+        now = (status["state"], status["step"], status["moves_done"])
+        if now != shown and status["step"] is not None:
+            moves = f", move {status['moves_done']} of {status['moves_total']}" if status["moves_total"] else ""
+            progress(f"[{status['clock_s']:8.1f} s] {status['state']}: {status['step'].replace('_', ' ')}{moves}")
+            shown = now
+        if status["state"] not in _WORKING or time.monotonic() - started_s > _JOB_LIMIT_S:
+            return status
+    return client.read("status")
+
+
+def _accepted(client: DaemonClient, command: str) -> None:
+    answer = client.command(f"command/{command}")
+    if not answer["accepted"]:
+        raise AlarmError(Alarm.COMMAND_REFUSED, f"{command}: {answer['reason']}")
+
+
+def _command(client: DaemonClient, command: str, wanted: str) -> dict[str, Any]:
+    """Give a command and wait for the state that it ends in, or for a wait state that it did not want."""
+    _accepted(client, command)
+    deadline_s = time.monotonic() + _STATE_LIMIT_S
+    status = client.read("status")
+    while status["state"] not in {wanted, "Aborted", "Held"} and time.monotonic() < deadline_s:
+        time.sleep(_POLL_S)
+        status = client.read("status")
+    return status
+
+
+def _conclude(
+    options: DemoOptions,
+    status: Mapping[str, Any],
+    before: Sequence[TruePart],
+    after: Sequence[TruePart],
+    progress: Callable[[str], None],
+) -> dict[str, Any]:
+    """Judge, write the pictures and the page, and return the JSON."""
+    run = Path(status["run_directory"]) if status.get("run_directory") else None
+    perception = _read(run, "perception_0.json")
+    plan = _read(run, "plan_0.json")
+    workpieces = perception.get("workpieces", [])
+    moves = [PlanArrow(m["workpiece"], tuple(m["from_mm"]), tuple(m["to_mm"])) for m in plan.get("moves", [])]
+    verdict = grade(
+        before,
+        after,
+        {w["id"]: tuple(w["position_mm"]) for w in workpieces},
+        [Goal(g["workpiece"], tuple(g["point_mm"])) for g in plan.get("goals", [])],
+        frozenset(move.workpiece_id for move in moves),
+    )
+    alarms = [f"alarm {a['code']} {a['name']}: {a['detail']}" for a in status["alarms"] if a["severity"] != "warning"]
+    ended = [] if status["state"] == "Complete" else [f"the cell ended in {status['state']}, not in Complete"]
+    reasons = [*ended, *alarms, *verdict.reasons]
+    success = verdict.success and not ended
+    result = {
+        "success": success,
+        "state": status["state"],
+        "mode": status["mode"],
+        "simulation": status["simulation"],
+        "objects": options.objects,
+        "seed": options.seed,
+        "imperfections": options.imperfections,
+        "workpieces": workpieces,
+        "plan": plan.get("plan", []),
+        "moves_done": status["moves_done"],
+        "moves_least": plan.get("bound_moves"),
+        "moves_proven": plan.get("moves_proven"),
+        "matched_planes": perception.get("matches"),
+        "position_error_mm": verdict.error_summary("position_error_mm"),
+        "grasp_offset_mm": verdict.error_summary("grasp_offset_mm"),
+        "placement_error_mm": verdict.error_summary("placement_error_mm"),
+        "job_time_s": status["job_time_s"],
+        "timings_ms": perception.get("timings_ms", {}),
+        "reasons": [*reasons, *(f"part {v.part.id}: {'; '.join(v.reasons)}" for v in verdict.parts if v.reasons)],
+    }
+    _write_report(options, result, verdict, run, [_plan_part(w) for w in workpieces], moves)
+    (options.out / "demo.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
+    _say(result, options.out, progress)
+    return result
+
+
+def _read(run: Path | None, name: str) -> dict[str, Any]:
+    path = None if run is None else run / name
+    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path and path.exists() else {}
+    return content
+
+
+def _plan_part(workpiece: Mapping[str, Any]) -> PlanPart:
+    x, y, _ = workpiece["position_mm"]
+    return PlanPart(
+        workpiece["id"],
+        workpiece["kind"],
+        (x, y),
+        workpiece["height_mm"],
+        workpiece["yaw_deg"],
+        tuple(workpiece["size_mm"]),
+    )
+
+
+def _write_report(
+    options: DemoOptions,
+    result: Mapping[str, Any],
+    verdict: Grade,
+    run: Path | None,
+    parts: Sequence[PlanPart],
+    moves: Sequence[PlanArrow],
+) -> None:
+    out = options.out
+    cv2.imwrite(str(out / "plan.png"), draw_plan(parts, moves))
+    figures = [
+        figure
+        for source, name, caption in (
+            (
+                "planes_0.png",
+                "planes.png",
+                "Left and right image with the matched planes numbered (as the paper's Fig. 6)",
+            ),
+            ("locations_0.png", "locations.png", "Three-dimensional locations (as the paper's Fig. 7)"),
+        )
+        if (figure := _copied(run, source, out, name, caption))
+    ]
+    figures.append(Figure("plan.png", "The plan, seen from above: parts with number and height, moves in order"))
+    last = max((int(p.stem.split("_")[1]) for p in run.glob("left_*.png")), default=0) if run else 0
+    before_after = [
+        figure
+        for source, name, caption in (
+            ("left_0.png", "before.png", "before, left image"),
+            (f"left_{last}.png", "after.png", "after, left image"),
+        )
+        if last and (figure := _copied(run, source, out, name, caption))
+    ]
+    report = Report(
+        grade=verdict,
+        reasons=tuple(result["reasons"]),
+        seed=options.seed,
+        imperfections=options.imperfections,
+        command=options.command(),
+        comparison=compare(
+            verdict, result["job_time_s"], result["matched_planes"] or 0, result["moves_done"], result["moves_least"]
+        ),
+        figures=tuple(figures),
+        before_after=tuple(before_after),
+        part_rows=part_rows(verdict, result["workpieces"]),
+        moves=moves,
+        timings_ms=result["timings_ms"],
+    )
+    (out / "report.html").write_text(render_report(report), encoding="utf-8")
+
+
+def _copied(run: Path | None, source: str, out: Path, name: str, caption: str) -> Figure | None:
+    """Copy a picture of the run beside the page; None where the run has none."""
+    if run is None or not (run / source).exists():
+        return None
+    shutil.copyfile(run / source, out / name)
+    return Figure(name, caption)
+
+
+def _say(result: Mapping[str, Any], out: Path, progress: Callable[[str], None]) -> None:
+    error, placed = result["position_error_mm"], result["placement_error_mm"]
+    if error["mean"] is not None:
+        progress(f"position error: mean {error['mean']:.2f} mm, max {error['max']:.2f} mm (paper: 8.9, 25.2)")
+    if placed["mean"] is not None:
+        progress(f"placement error: mean {placed['mean']:.2f} mm, max {placed['max']:.2f} mm")
+    if result["job_time_s"] is not None:
+        progress(f"first image to last release: {result['job_time_s']:.1f} s (paper: 480 s)")
+    progress(f"moves: {result['moves_done']}, least possible {result['moves_least']}")
+    progress("the simulator's truth agrees: the job is done" if result["success"] else "the job FAILED")
+    progress(f"report: {out / 'report.html'}")
