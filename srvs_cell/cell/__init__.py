@@ -1,1 +1,27 @@
 """The cell: PackML unit, job steps, recovery policy, interlocks, journal."""
+
+from srvs_cell.cell.devices import Devices, make_devices
+from srvs_cell.cell.job import Equipment
+from srvs_cell.cell.journal import GripperKnowledge, Journal
+from srvs_cell.cell.packml import Command, Mode, State
+from srvs_cell.cell.recorder import RunRecorder
+from srvs_cell.cell.senses import Perceive, Pictures, PlanJob, StereoLook
+from srvs_cell.cell.unit import CommandAnswer, Unit
+
+__all__ = [
+    "Command",
+    "CommandAnswer",
+    "Devices",
+    "Equipment",
+    "GripperKnowledge",
+    "Journal",
+    "Mode",
+    "Perceive",
+    "Pictures",
+    "PlanJob",
+    "RunRecorder",
+    "State",
+    "StereoLook",
+    "Unit",
+    "make_devices",
+]

@@ -1,0 +1,41 @@
+"""What the unit asks of vision and planning, as callables, so that both can be replaced in tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from srvs_cell.planning import CellPlan
+from srvs_cell.scene import Perception, Workpiece
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from srvs_cell.geometry import Transform
+
+
+@dataclass(frozen=True, eq=False)
+class StereoLook:
+    """The two images of one lateral path and the poses that the arm reported at its ends.
+
+    Attributes:
+        left, right: uint8, shape (H, W) or (H, W, 3).
+        base_T_tcp_left, base_T_tcp_right: reported poses.
+    """
+
+    left: NDArray[np.uint8]
+    right: NDArray[np.uint8]
+    base_T_tcp_left: Transform  # noqa: N815 - the notation of transforms
+    base_T_tcp_right: Transform  # noqa: N815 - the notation of transforms
+
+
+Perceive = Callable[[StereoLook], Perception]
+"""Raises `AlarmError` where the images do not allow a perception. Called in a worker thread."""
+
+PlanJob = Callable[[Sequence[Workpiece]], CellPlan]
+"""Raises `AlarmError` as `srvs_cell.planning.plan_relocation`. Called in a worker thread."""
+
+Pictures = Callable[[Perception], Mapping[str, "NDArray[np.uint8]"]]
+"""Name -> image, of what was perceived, for the run folder and the operator's page."""

@@ -1,0 +1,209 @@
+"""The cell's YAML: every key typed, bounded and known; made of the parameters that each room owns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field
+
+from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.calibration import Calibration
+from srvs_cell.config.cell_parameters import CellParameters
+from srvs_cell.config.drivers import (
+    ROLES,
+    SIMULATED_DRIVER,
+    DeviceConfig,
+    installed_drivers,
+    load_driver,
+)
+from srvs_cell.config.validation import validate
+from srvs_cell.config.yaml_text import read_yaml
+from srvs_cell.planning import PlanningParameters
+from srvs_cell.vision.parameters import VisionParameters
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+SCHEMA_VERSION = 1
+_UNPRIVILEGED_PORT = 1024
+_LAST_PORT = 65535
+
+
+class _DeviceSection(BaseModel):
+    """A device: its driver's name, and keys that belong to the driver."""
+
+    model_config = ConfigDict(extra="allow")
+
+    driver: Annotated[str, Field(description="name of an installed driver")]
+
+
+class _DevicesSection(BaseModel):
+    """The four devices of a cell."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    clock: _DeviceSection = Field(default_factory=lambda: _DeviceSection(driver="system"))
+    camera: _DeviceSection
+    arm: _DeviceSection
+    gripper: _DeviceSection
+
+
+class ServiceConfig(BaseModel):
+    """Where the daemon listens and keeps what it must not lose. Relative paths start at the config file's folder."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    socket: Annotated[Path, Field(description="unix socket for commands")] = Path("/run/srvs-cell/api.sock")
+    tcp_port: Annotated[
+        int | None, Field(ge=_UNPRIVILEGED_PORT, le=_LAST_PORT, description="loopback port of the page; null: none")
+    ] = None
+    state_dir: Annotated[Path, Field(description="journal and run folders")] = Path("/var/lib/srvs-cell")
+
+
+class _File(BaseModel):
+    """The whole file."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    schema_version: Literal[1]
+    cell: CellParameters
+    vision: VisionParameters = Field(default_factory=VisionParameters)
+    planning: PlanningParameters = Field(default_factory=PlanningParameters)
+    devices: _DevicesSection
+    calibration: Annotated[Path, Field(description="calibration file, relative to this file")]
+    service: ServiceConfig = Field(default_factory=ServiceConfig)
+
+
+@dataclass(frozen=True)
+class DevicesConfig:
+    """The four devices with their drivers."""
+
+    clock: DeviceConfig
+    camera: DeviceConfig
+    arm: DeviceConfig
+    gripper: DeviceConfig
+
+    def __iter__(self) -> Any:
+        return iter((self.clock, self.camera, self.arm, self.gripper))
+
+
+@dataclass(frozen=True)
+class CellConfig:
+    """A valid configuration; paths are absolute where the file's place is known.
+
+    Attributes:
+        source: the file, for messages.
+        cell, vision, planning: the rooms' parameters.
+        devices: drivers and their settings.
+        calibration: the calibration file.
+        service: socket, port, state folder.
+    """
+
+    source: str
+    cell: CellParameters
+    vision: VisionParameters
+    planning: PlanningParameters
+    devices: DevicesConfig
+    calibration: Path
+    service: ServiceConfig
+
+    @property
+    def simulation(self) -> bool:
+        """Whether any device is simulated; fixed at start-up and shown in every status."""
+        return any(device.driver == SIMULATED_DRIVER for device in self.devices)
+
+    def load_calibration(self) -> Calibration:
+        """Return the calibration; raises `AlarmError` CALIBRATION_INVALID naming the file and what is wrong with it."""
+        try:
+            data = read_yaml(self.calibration.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise AlarmError(Alarm.CALIBRATION_INVALID, f"{self.calibration}: {_one_line(error)}.") from error
+        return Calibration.from_mapping(data, str(self.calibration))
+
+
+def load_config(path: Path | str) -> CellConfig:
+    """Return the configuration of a file; raises `AlarmError` as `parse_config`, also where it cannot be read."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise AlarmError(Alarm.CONFIG_INVALID, f"{path}: {_one_line(error)}.") from error
+    return parse_config(text, str(path), folder=path.resolve().parent)
+
+
+def parse_config(text: str, source: str, folder: Path | None = None) -> CellConfig:
+    """Return the configuration that a YAML text says.
+
+    Args:
+        text: the YAML.
+        source: its name, for messages.
+        folder: where relative paths start; without it they stay relative.
+
+    Raises:
+        AlarmError: CONFIG_INVALID naming file, key, value and bound; DRIVER_UNKNOWN listing the installed drivers.
+    """
+    try:
+        data = read_yaml(text)
+    except yaml.YAMLError as error:
+        raise AlarmError(Alarm.CONFIG_INVALID, f"{source}: not YAML: {_one_line(error)}.") from error
+    if not isinstance(data, dict):
+        raise AlarmError(Alarm.CONFIG_INVALID, f"{source}: a mapping of keys is expected, got {type(data).__name__}.")
+    file = validate(_File, data, source)
+    devices = {role: _device(role, getattr(file.devices, role), source) for role in ROLES}
+    service = file.service
+    return CellConfig(
+        source=source,
+        cell=file.cell,
+        vision=file.vision,
+        planning=file.planning,
+        devices=DevicesConfig(**devices),
+        calibration=_resolve(file.calibration, folder),
+        service=service.model_copy(
+            update={"socket": _resolve(service.socket, folder), "state_dir": _resolve(service.state_dir, folder)}
+        ),
+    )
+
+
+def config_schema() -> dict[str, Any]:
+    """Return the JSON Schema of the config, with the keys of every installed driver, for editors."""
+    schema = _File.model_json_schema()
+    schema["title"] = "srvs_cell configuration"
+    devices = schema["$defs"]["_DevicesSection"]["properties"]
+    for role in ROLES:
+        options = [_driver_schema(role, driver, schema["$defs"]) for driver in installed_drivers(role)]
+        devices[role] = {"oneOf": options, "description": f"the {role} and its driver's keys"}
+    del schema["$defs"]["_DeviceSection"]
+    return schema
+
+
+def _device(role: str, section: _DeviceSection, source: str) -> DeviceConfig:
+    try:
+        spec = load_driver(role, section.driver)
+    except AlarmError as error:
+        raise AlarmError(error.alarm, f"{source}: {error.detail}") from error
+    settings = validate(spec.config_model, section.model_extra, source, ("devices", role))
+    return DeviceConfig(role=role, driver=section.driver, settings=settings, spec=spec)
+
+
+def _driver_schema(role: str, driver: str, definitions: dict[str, Any]) -> dict[str, Any]:
+    try:
+        model: type[BaseModel] = load_driver(role, driver).config_model
+    except AlarmError as error:
+        return {"properties": {"driver": {"const": driver}}, "required": ["driver"], "$comment": error.detail}
+    schema = model.model_json_schema()
+    definitions.update(schema.pop("$defs", {}))
+    name: Mapping[str, Any] = {"driver": {"const": driver, "description": schema.get("description", driver)}}
+    schema["properties"] = {**name, **schema.get("properties", {})}
+    schema["required"] = ["driver", *schema.get("required", [])]
+    return schema
+
+
+def _resolve(path: Path, folder: Path | None) -> Path:
+    return path if folder is None else folder / path
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
