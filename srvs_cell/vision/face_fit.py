@@ -29,7 +29,8 @@ _CORNER_SHARE = 0.1
 """Share of a side left out at either end: there the neighbouring side's edge is met."""
 _ALONG = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
 """Weights that average neighbouring profiles of one side against noise."""
-_OFF_CENTRE_PENALTY = 0.7
+_CLEAR_SHARE = 0.15
+"""An edge must have this share of the strongest gradient in its window, so that texture within the face is none."""
 _HALF_WIDTHS_PX = (6.0, 6.0, 5.0, 4.0, 3.0, 3.0, 2.5, 2.5)
 _HUBER_PX = 0.5
 _MISSING_PX = 3.0
@@ -341,10 +342,11 @@ def _edge_offsets(
     # an edge is a local maximum, so that the flank of one beyond the window does not count
     peak = np.zeros_like(size, dtype=bool)
     peak[:, 1:-1] = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] > size[:, 2:]) & (size[:, 1:-1] >= min_gradient)
-    preference = size * peak * (1.0 - _OFF_CENTRE_PENALTY * (offsets / (half_width_px + _SAMPLE_STEP_PX)) ** 2)
-    best = preference.argmax(axis=1)
+    # walking outwards from inside the face its own edge comes first; sliver of side face and shadow lie beyond it
+    clear = peak & (size >= _CLEAR_SHARE * (size * peak).max(axis=1, keepdims=True))
+    best = clear.argmax(axis=1)
     rows = np.arange(best.size)
-    found = preference[rows, best] > 0.0
+    found = clear[rows, best]
     best = np.clip(best, 1, offsets.size - 2)
     before, at, after = size[rows, best - 1], size[rows, best], size[rows, best + 1]
     curvature = before - 2.0 * at + after
