@@ -1,0 +1,152 @@
+"""The operator's commands: they say what the daemon answers and know nothing themselves."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from srvs_cell.cli.client import DEFAULT_SOCKET, DaemonClient
+
+COMMANDS = {
+    "reset": "Make the stopped or finished cell ready: Idle.",
+    "start": "Start the job.",
+    "stop": "Request a stop: the arm halts, the job ends, the cell is Stopped.",
+    "hold": "Request a pause; 'unhold' looks again and goes on.",
+    "unhold": "Go on after a hold.",
+    "suspend": "Pause for a cause outside the cell.",
+    "unsuspend": "Go on after a suspension.",
+    "complete": "End the job after the part in hand.",
+    "abort": "Request a stop at once and forbid all motion until 'clear'.",
+    "clear": "After start-up or an abort: reset the robot's fault, connect the devices: Stopped.",
+}
+"""The PackML commands, as operators type them, and what they are for."""
+
+_REFUSED = 1
+_WIDTH = 12
+
+Socket = Annotated[Path, typer.Option("--socket", help="The daemon's unix socket; also $SRVS_CELL_SOCKET.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Limit = Annotated[int, typer.Option("--limit", min=1, max=10_000, help="How many, newest first.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add status, the PackML commands, mode, resolve, alarms and history."""
+    app.command("status")(show_status)
+    for name, purpose in COMMANDS.items():
+        app.command(name, help=purpose)(_sender(name))
+    app.command("mode")(set_mode)
+    app.command("resolve")(resolve)
+    app.command("alarms")(show_alarms)
+    app.command("history")(show_history)
+
+
+def show_status(
+    *,
+    watch: Annotated[bool, typer.Option("--watch", help="Go on with one block, or one JSON line, a change.")] = False,
+    as_json: Json = False,
+    socket: Socket = DEFAULT_SOCKET,
+) -> None:
+    """Say what the cell is doing."""
+    with DaemonClient(socket) as daemon:
+        for status in daemon.changes() if watch else [daemon.read("status")]:
+            typer.echo(json.dumps(status) if as_json else _status_text(status))
+
+
+def set_mode(
+    mode: Annotated[str, typer.Argument(help="production, maintenance, manual or dry-run")],
+    *,
+    as_json: Json = False,
+    socket: Socket = DEFAULT_SOCKET,
+) -> None:
+    """Change the unit mode; possible in Stopped, Idle and Aborted."""
+    _send(socket, "mode", {"mode": mode}, as_json=as_json)
+
+
+def resolve(
+    what: Annotated[Literal["gripper"], typer.Argument(help="what you looked at")],
+    holds: Annotated[Literal["empty", "holding"], typer.Argument(help="what you saw")],
+    *,
+    as_json: Json = False,
+    socket: Socket = DEFAULT_SOCKET,
+) -> None:
+    """Tell the cell what the gripper holds, after a run that ended with a grip under way."""
+    _send(socket, "resolve", {what: holds}, as_json=as_json)
+
+
+def show_alarms(*, limit: Limit = 20, as_json: Json = False, socket: Socket = DEFAULT_SOCKET) -> None:
+    """List the newest alarms with cause and remedy."""
+    with DaemonClient(socket) as daemon:
+        body = daemon.read("alarms", limit=limit)
+    typer.echo(json.dumps(body) if as_json else "\n".join(map(_alarm_text, body["alarms"])) or "No alarms.")
+
+
+def show_history(*, limit: Limit = 50, as_json: Json = False, socket: Socket = DEFAULT_SOCKET) -> None:
+    """List the newest entries of the journal."""
+    with DaemonClient(socket) as daemon:
+        body = daemon.read("history", limit=limit)
+    typer.echo(json.dumps(body) if as_json else "\n".join(map(_entry_text, body["history"])) or "Nothing yet.")
+
+
+def _sender(name: str) -> Callable[..., None]:
+    def send(*, as_json: Json = False, socket: Socket = DEFAULT_SOCKET) -> None:
+        _send(socket, f"command/{name}", None, as_json=as_json)
+
+    return send
+
+
+def _send(socket: Path, name: str, body: dict[str, str] | None, *, as_json: bool) -> None:
+    """Give a command; exit code 1 where it is refused, with the reason on stderr."""
+    with DaemonClient(socket) as daemon:
+        answer = daemon.command(name, body)
+    if as_json:
+        typer.echo(json.dumps(answer))
+    if not answer["accepted"]:
+        typer.echo(_refusal_text(answer), err=True)
+        raise typer.Exit(_REFUSED)
+    if not as_json:
+        typer.echo(answer["state"])
+
+
+def _refusal_text(answer: dict[str, Any]) -> str:
+    alarm = answer["alarm"]
+    label = f"[{alarm['code']} {alarm['name']}] " if alarm else ""
+    lines = [f"srvs-cell: {label}{answer['reason']}"]
+    if way := answer.get("leads_there"):
+        lines.append(f"  Commands that lead there: {', '.join(way)}")
+    elif alarm:
+        lines.append(f"  Remedy: {alarm['remedy']}")
+    return "\n".join(lines)
+
+
+def _status_text(status: dict[str, Any]) -> str:
+    rows = [
+        ("State", status["state"]),
+        ("Mode", status["mode"] + ("   SIMULATION" if status["simulation"] else "")),
+        ("Step", status["step"] or "none"),
+        ("Moves", f"{status['moves_done']} of {status['moves_total']}"),
+        ("Workpieces", ", ".join(map(_workpiece_text, status["workpieces"])) or "none"),
+        ("Gripper", status["gripper"]["knowledge"]),
+        ("Page", status["service"]["page"] or "none (service.tcp_port)"),
+        ("Commands", ", ".join(status["allowed_commands"])),
+    ]
+    lines = [f"{name:<{_WIDTH}}{value}" for name, value in rows]
+    for alarm in status["alarms"]:
+        lines.append(f"{'Alarm':<{_WIDTH}}[{alarm['code']} {alarm['name']}] {alarm['detail']}")
+        lines.append(f"{'':<{_WIDTH}}Cause: {alarm['cause']}")
+        lines.append(f"{'':<{_WIDTH}}Remedy: {alarm['remedy']}")
+    return "\n".join(lines)
+
+
+def _workpiece_text(workpiece: dict[str, Any]) -> str:
+    x_mm, y_mm, _ = workpiece["position_mm"]
+    return f"{workpiece['kind']} {workpiece['id']} at ({x_mm:.0f}, {y_mm:.0f}) mm, {workpiece['height_mm']:.0f} mm high"
+
+
+def _alarm_text(alarm: dict[str, Any]) -> str:
+    return f"{alarm['at']}  [{alarm['code']} {alarm['name']}] {alarm['detail']}"
+
+
+def _entry_text(entry: dict[str, Any]) -> str:
+    return f"{entry['at']}  {entry['kind']:<12} {entry['name']:<16} {entry['source']}"

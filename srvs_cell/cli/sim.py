@@ -1,0 +1,45 @@
+"""``srvs-cell sim``: the simulated cell alone, for other people's clients."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from srvs_cell.cli.simulator import simulator_failure, start_simulator, stop_simulator
+
+_LAST_PORT = 65535
+
+
+def register(app: typer.Typer) -> None:
+    """Add ``sim``."""
+    app.command("sim")(sim)
+
+
+def sim(
+    *,
+    objects: Annotated[int, typer.Option("--objects", min=1, max=20, help="Parts on the table.")] = 5,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Another table, another lens, another robot.")] = 0,
+    speed: Annotated[float, typer.Option("--speed", min=0.1, max=1000.0, help="Times faster than life.")] = 1.0,
+    imperfections: Annotated[
+        str, typer.Option("--imperfections", help="Of the simulated cell: real or none.")
+    ] = "real",
+    modbus_port: Annotated[
+        int, typer.Option("--modbus-port", min=0, max=_LAST_PORT, help="Port of the controller; 0: any free one.")
+    ] = 0,
+    calibration_out: Annotated[
+        Path | None, typer.Option("--calibration-out", help="Write the calibration file of this cell there.")
+    ] = None,
+) -> None:
+    """Run the simulated cell on the loopback until Ctrl-C; prints one JSON line: what listens where."""
+    arguments = ["--objects", str(objects), "--seed", str(seed), "--speed", str(speed)]
+    arguments += ["--imperfections", imperfections, "--modbus-port", str(modbus_port)]
+    if calibration_out is not None:
+        arguments += ["--calibration-out", str(calibration_out)]
+    process, listens = start_simulator(arguments)
+    try:
+        typer.echo(json.dumps(listens))
+        if process.wait() != 0:
+            raise simulator_failure(process)
+    finally:
+        stop_simulator(process)

@@ -1,0 +1,41 @@
+"""What systemd wants to hear: READY, STATUS, WATCHDOG, STOPPING (sd_notify(3)), without a library."""
+
+from __future__ import annotations
+
+import os
+import socket
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_MICROSECONDS_PER_SECOND = 1e6
+_PINGS_PER_WATCHDOG_PERIOD = 3
+
+
+def notify(*assignments: str, environment: Mapping[str, str] = os.environ) -> bool:
+    """Send ``assignments`` such as ``"READY=1"`` to the service manager in one datagram.
+
+    Returns:
+        False where no service manager listens (``$NOTIFY_SOCKET`` is not set), which is no error.
+
+    Raises:
+        OSError: the socket that the service manager named cannot be reached.
+    """
+    address = environment.get("NOTIFY_SOCKET")
+    if not address:
+        return False
+    if address.startswith("@"):
+        address = "\0" + address[1:]  # Linux's abstract namespace
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
+        channel.connect(address)
+        channel.sendall("\n".join(assignments).encode())
+    return True
+
+
+def watchdog_interval_s(environment: Mapping[str, str] = os.environ) -> float | None:
+    """Return how often to send ``WATCHDOG=1``: a third of WatchdogSec; None where nobody waits for us."""
+    period_us = environment.get("WATCHDOG_USEC")
+    if not period_us or environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+        return None
+    return int(period_us) / _MICROSECONDS_PER_SECOND / _PINGS_PER_WATCHDOG_PERIOD
