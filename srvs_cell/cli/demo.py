@@ -28,8 +28,10 @@ def register(app: typer.Typer) -> None:
         import json  # noqa: PLC0415 - the command line starts lazily
 
         from srvs_cell.cli.demo_run import DemoOptions, run_demo  # noqa: PLC0415 - same
+        from srvs_cell.cli.simulated_cell import SimulationOptions  # noqa: PLC0415 - same
 
-        options = DemoOptions(objects=objects, seed=seed, out=out, speed=speed, imperfections=imperfections)
+        simulation = SimulationOptions(objects=objects, seed=seed, speed=speed, imperfections=imperfections)
+        options = DemoOptions(simulation, out)
         result = run_demo(options, progress=lambda line: typer.echo(line, err=as_json))
         if as_json:
             typer.echo(json.dumps(result))

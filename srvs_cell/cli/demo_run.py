@@ -4,68 +4,45 @@ from __future__ import annotations
 
 import json
 import shutil
-import socket
-import subprocess
-import sys
-import tempfile
 import time
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
-import yaml
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.cli.client import DaemonClient
-from srvs_cell.cli.simulator import start_simulator, stop_simulator
-from srvs_cell.config.embedded import embedded_config
+from srvs_cell.cli.simulated_cell import SimulationOptions, SimulatorControl, simulated_cell
 from srvs_cell.service.grading import Goal, Grade, TruePart, grade
 from srvs_cell.service.pictures import PlanArrow, PlanPart, draw_plan
 from srvs_cell.service.report import Figure, Report, compare, part_rows, render_report
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-_DAEMON_START_S, _DAEMON_STOP_S, _JOB_LIMIT_S, _STATE_LIMIT_S = 30.0, 15.0, 900.0, 60.0
+    from srvs_cell.cli.client import DaemonClient
+
+_JOB_LIMIT_S, _STATE_LIMIT_S = 900.0, 60.0
 _POLL_S = 0.05
 _WORKING = {"Starting", "Execute", "Unholding", "Completing", "Suspending", "Unsuspending"}
-_LOG_LINES = 15
 
 
 @dataclass(frozen=True)
 class DemoOptions:
     """What the user chose."""
 
-    objects: int
-    seed: int
+    simulation: SimulationOptions
     out: Path
-    speed: float
-    imperfections: str
 
     def command(self) -> str:
         """Return the command line that repeats this run."""
-        return f"srvs-cell demo --objects {self.objects} --seed {self.seed} --imperfections {self.imperfections}"
+        chosen = self.simulation
+        return f"srvs-cell demo --objects {chosen.objects} --seed {chosen.seed} --imperfections {chosen.imperfections}"
 
 
-class Truth:
-    """The simulator's control socket: what really happened."""
-
-    def __init__(self, port: int) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port), timeout=30.0)
-        self._lines = self._socket.makefile("rb")
-
-    def parts(self) -> list[TruePart]:
-        """Return every part as it stands now."""
-        self._socket.sendall(b'{"op": "truth"}\n')
-        answer = json.loads(self._lines.readline())
-        return [TruePart.from_truth(part) for part in answer["parts"]]
-
-    def close(self) -> None:
-        """Let go of the socket."""
-        self._lines.close()
-        self._socket.close()
+def true_parts(control: SimulatorControl) -> list[TruePart]:
+    """Return every part as it really stands now."""
+    return [TruePart.from_truth(part) for part in control.ask("truth")["parts"]]
 
 
 def run_demo(options: DemoOptions, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -85,18 +62,14 @@ def run_demo(options: DemoOptions, progress: Callable[[str], None]) -> dict[str,
     if out.exists():
         _clear(out)
     out.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
-        # A unix socket's path is limited to about 100 characters: not below --out.
-        short = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="srvs-")))
-        progress(f"simulated cell: {options.objects} parts, seed {options.seed}, imperfections {options.imperfections}")
-        cell = stack.enter_context(_simulator(options, out / "simulator.log", short))
-        truth = Truth(cell["control_port"])
-        stack.callback(truth.close)
-        config = _write_config(cell, out, short)
-        before = truth.parts()
-        client = stack.enter_context(_daemon(config, short / "run" / "api.sock", out / "daemon.log"))
-        status = _job(client, progress)
-        after = truth.parts()
+    simulation = options.simulation
+    progress(
+        f"simulated cell: {simulation.objects} parts, seed {simulation.seed}, {simulation.imperfections} imperfections"
+    )
+    with simulated_cell(simulation, out) as cell:
+        before = true_parts(cell.control)
+        status = _job(cell.client, progress)
+        after = true_parts(cell.control)
     return _conclude(options, status, before, after, progress)
 
 
@@ -106,65 +79,6 @@ def _clear(out: Path) -> None:
         raise AlarmError(Alarm.FILE_INVALID, f"{out} is not empty and holds no earlier demo; choose another --out.")
     for entry in out.iterdir():
         shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
-
-
-@contextmanager
-def _simulator(options: DemoOptions, log_path: Path, short: Path) -> Iterator[dict[str, Any]]:
-    arguments = [
-        "--objects", str(options.objects), "--seed", str(options.seed), "--speed", str(options.speed),
-        "--imperfections", options.imperfections, "--clock-page", str(short / "clock"),
-        "--calibration-out", str(options.out / "calibration.yaml"),
-    ]  # fmt: skip
-    process, listening = start_simulator(arguments, log_path)
-    try:
-        yield listening
-    finally:
-        stop_simulator(process)
-
-
-def _write_config(cell: Mapping[str, Any], out: Path, short: Path) -> Path:
-    """Write the embedded simulation config with what this simulator listens on."""
-    config = yaml.safe_load(embedded_config())
-    x, y, z, w, p, r = cell["observe_pose"]
-    config["cell"]["look"]["observe_pose"] = {"xyz_mm": [x, y, z], "wpr_deg": [w, p, r]}
-    config["cell"]["look"]["baseline_mm"] = cell["baseline_mm"]
-    config["cell"]["table_z_mm"] = cell["table_z_mm"]
-    config["calibration"] = "calibration.yaml"
-    config["devices"]["clock"]["path"] = cell["clock_page"]
-    config["devices"]["camera"]["port"] = cell["camera_port"]
-    config["devices"]["arm"]["port"] = cell["modbus_port"]
-    config["service"] = {
-        **config["service"],
-        "socket_path": str(short / "run" / "api.sock"),
-        "tcp_port": None,
-        "state_dir": "state",
-    }
-    path = out / "cell.yaml"
-    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
-    return path
-
-
-@contextmanager
-def _daemon(config: Path, socket_path: Path, log_path: Path) -> Iterator[DaemonClient]:
-    command = [sys.executable, "-m", "srvs_cell.cli.main", "run", "--config", str(config)]
-    with log_path.open("w", encoding="utf-8") as log:
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)  # noqa: S603 - our own
-    try:
-        deadline_s = time.monotonic() + _DAEMON_START_S
-        while not socket_path.exists():
-            if process.poll() is not None or time.monotonic() > deadline_s:
-                tail = "\n".join(log_path.read_text(encoding="utf-8").splitlines()[-_LOG_LINES:])
-                raise AlarmError(Alarm.NO_DAEMON, f"The daemon did not start; {log_path} ends:\n{tail}\n")
-            time.sleep(_POLL_S)
-        with DaemonClient(socket_path) as client:
-            yield client
-    finally:
-        process.terminate()
-        try:
-            process.wait(_DAEMON_STOP_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 def _job(client: DaemonClient, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -234,9 +148,9 @@ def _conclude(
         "state": status["state"],
         "mode": status["mode"],
         "simulation": status["simulation"],
-        "objects": options.objects,
-        "seed": options.seed,
-        "imperfections": options.imperfections,
+        "objects": options.simulation.objects,
+        "seed": options.simulation.seed,
+        "imperfections": options.simulation.imperfections,
         "workpieces": workpieces,
         "plan": plan.get("plan", []),
         "moves_done": status["moves_done"],
@@ -309,8 +223,8 @@ def _write_report(
     report = Report(
         grade=verdict,
         reasons=tuple(result["reasons"]),
-        seed=options.seed,
-        imperfections=options.imperfections,
+        seed=options.simulation.seed,
+        imperfections=options.simulation.imperfections,
         command=options.command(),
         comparison=compare(
             verdict, result["job_time_s"], result["matched_planes"] or 0, result["moves_done"], result["moves_least"]
