@@ -68,7 +68,7 @@ def run_demo(options: DemoOptions, progress: Callable[[str], None]) -> dict[str,
     )
     with simulated_cell(simulation, out) as cell:
         before = true_parts(cell.control)
-        status = _job(cell.client, progress)
+        status = work_through(cell.client, progress)
         after = true_parts(cell.control)
     return _conclude(options, status, before, after, progress)
 
@@ -81,7 +81,7 @@ def _clear(out: Path) -> None:
         shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
 
 
-def _job(client: DaemonClient, progress: Callable[[str], None]) -> dict[str, Any]:
+def work_through(client: DaemonClient, progress: Callable[[str], None]) -> dict[str, Any]:
     """Give the operator's commands and watch until the job ends; return the last status."""
     for command, state in (("clear", "Stopped"), ("reset", "Idle")):
         status = _command(client, command, state)
