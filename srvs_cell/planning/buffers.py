@@ -52,33 +52,33 @@ class _Standing:
 def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float) -> Problem:
     """Return the problem with one more buffer place, found on the table.
 
-    The place is clear, footprints and fingers, for every object that stands wrongly, whatever slot the others stand
-    on by then. Where the table is too full for that, it is clear for one of them at least as the table stands now;
-    the search then finds out whether that is enough. Among the clear points the one is taken that makes the
+    The first place is clear, footprints and fingers, for every object that stands wrongly, whatever slot the others
+    stand on by then; further places are so for every object, since one that stands rightly may have to make room.
+    Where the table is too full for that, a place is taken that is clear for one object at least as the table stands
+    now; the search then finds out whether that is enough. Among the clear points the one is taken that makes the
     shortest detour for one object; the others can go round through its slot (references/planning.md section 3).
 
     Args:
-        problem: a rank problem with polygons; not in order yet.
+        problem: a rank problem that is not in order yet.
         workspace: box that the whole footprint of a buffered object stays in.
         grid_mm: distance of the points that are looked at.
 
     Raises:
         AlarmError: NO_BUFFER_PLACE.
     """
-    rule = goal_rule(problem)
-    start = tuple(item.start for item in problem.objects)
-    movers = [problem.objects[i] for i in rule.misplaced(start)] or list(problem.objects)
-    candidates = _by_detour(_grid(workspace, grid_mm), problem, movers)
-    slots = [place.id for place in problem.places]
+    misplaced = goal_rule(problem).misplaced(tuple(item.start for item in problem.objects))
+    wrong = [problem.objects[item] for item in misplaced] or list(problem.objects)
+    has_buffer = any(place.kind is PlaceKind.BUFFER for place in problem.places)
+    movers = list(problem.objects) if has_buffer else wrong
     moving = {item.id for item in movers}
-    anywhere = [
-        _Standing(item, _points(problem, slots if item.id in moving else [item.start])) for item in problem.objects
-    ]
-    as_now = [_Standing(item, _points(problem, [item.start])) for item in problem.objects]
-    point = _first_clear(candidates, movers, anywhere, problem, workspace)
+    everywhere = [place.id for place in problem.places]
+    by_then = [_Standing(o, _points(problem, everywhere if o.id in moving else [o.start])) for o in problem.objects]
+    candidates = _by_detour(_grid(workspace, grid_mm), problem, wrong)
+    point = _first_clear(candidates, movers, by_then, problem, workspace)
     if point is None:
+        now = [_Standing(item, _points(problem, [item.start])) for item in problem.objects]
         for mover in movers:
-            point = _first_clear(candidates, [mover], as_now, problem, workspace)
+            point = _first_clear(candidates, [mover], now, problem, workspace)
             if point is not None:
                 break
     if point is None:
@@ -125,7 +125,10 @@ def _first_clear(
     problem: Problem,
     workspace: Workspace,
 ) -> Array | None:
-    """Return the first candidate that is clear for all movers, or None."""
+    """Return the first candidate that is clear for all movers, or None.
+
+    A mover's own place counts as taken too: somebody else is to stand there.
+    """
     for begin in range(0, len(candidates), _CHUNK):
         chunk = candidates[begin : begin + _CHUNK]
         for mover in movers:
@@ -134,8 +137,6 @@ def _first_clear(
                 at = np.array([[obstacle.x_mm, obstacle.y_mm]])
                 chunk = _without_hits(chunk, mover, obstacle.footprint, at, problem.clearance_mm)
             for standing in standings:
-                if standing.item.id == mover.id or not len(chunk):
-                    continue
                 chunk = _without_hits(chunk, mover, standing.item.footprint, standing.points_mm, problem.clearance_mm)
                 # The other's fingers come down beside what stands in the buffer place.
                 for finger in _fingers(standing.item):

@@ -21,7 +21,7 @@ class SearchLimits:
     ] = 200_000
     max_travel_moves: Annotated[
         int, Field(ge=1, le=100_000_000, description="moves that the search for the least travel may look at")
-    ] = 1_500_000
+    ] = 300_000
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)

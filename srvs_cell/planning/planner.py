@@ -56,10 +56,11 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
             bound_travel_mm=bound_mm,
             reasons=infeasible_reasons(problem, table, rule, found.explored),
         )
-    steps = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_moves)
-    if steps is None:
+    search = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_moves)
+    if search.steps is None:
         capped = f"the search for the least travel ended at its cap of {limits.max_travel_moves} moves"
-        return _unproven(found.steps, legs, found.bound, bound_mm, (capped,))
+        return _unproven(found.steps, legs, found.bound, search.bound_mm, (capped,))
+    steps = search.steps
     total_mm = travel_mm(steps, legs)
     return RelocationPlan(
         status=PlanStatus.SOLVED,

@@ -1,19 +1,24 @@
-"""Least travel among the plans with the fewest moves: a layered dynamic programme over (arrangement, hand position).
+"""Least travel among the plans with the fewest moves: A* over (arrangement, hand position).
 
-Layer t holds the arrangements that are t moves from the start and can still reach the goal in the moves that remain.
-Every prefix of a least-move plan is a shortest way, so that an arrangement belongs to one layer only. Going backwards,
-the cost to go from (arrangement, hand) is the least of: empty leg to the object, loaded leg, cost to go from there.
+Only moves are followed after which the goal is still within reach of the moves that remain, so that every plan found
+has the fewest moves; among those, the estimate (travel so far + lower bound of the rest) leads to the least travel.
+The lower bound: each misplaced object is carried at least to its nearest goal, and each pick needs an empty leg to it
+from some other place. When the cap is hit, the least estimate in the queue is a proven bound.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from heapq import heappop, heappush
+from itertools import count
+from typing import TYPE_CHECKING, NamedTuple
 
 from srvs_cell.planning.moves import Arrangement, Step, after, possible_moves
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from srvs_cell.planning.clearance import ConflictTable
     from srvs_cell.planning.goals import GoalRule
     from srvs_cell.planning.problem import Problem
@@ -52,14 +57,16 @@ def travel_mm(steps: tuple[Step, ...], legs: Distances) -> float:
 
 
 @dataclass(frozen=True)
-class _Edge:
-    """A move of some plan with the fewest moves."""
+class TravelSearch:
+    """What the search for the least travel found.
 
-    step: Step
-    successor: Arrangement
+    Attributes:
+        steps: the plan with the least travel, or None where the cap was hit first.
+        bound_mm: proven lower bound on the travel of any plan with the fewest moves.
+    """
 
-
-Layer = dict[Arrangement, list[_Edge]]
+    steps: tuple[Step, ...] | None
+    bound_mm: float
 
 
 def least_travel(
@@ -68,9 +75,10 @@ def least_travel(
     table: ConflictTable,
     rule: GoalRule,
     legs: Distances,
-    max_edges: int,
-) -> tuple[Step, ...] | None:
-    """Return the plan of exactly ``moves`` moves with the least travel, or None where ``max_edges`` is exceeded.
+    max_looks: int,
+    weight: float = 1.0,
+) -> TravelSearch:
+    """Search for the plan of exactly ``moves`` moves with the least travel.
 
     Args:
         start: place per object.
@@ -78,97 +86,121 @@ def least_travel(
         table: conflicts.
         rule: goal.
         legs: distances.
-        max_edges: cap on the number of moves between layers that are looked at.
+        max_looks: cap on the number of moves that are looked at.
+        weight: 1 proves the least travel; above 1 the search is greedier and its bound means nothing.
     """
-    layers = _layers(start, moves, table, rule, max_edges)
-    if layers is None:
-        return None
-    to_go = _CostToGo(legs, layers)
+    if moves == 0:
+        return TravelSearch((), 0.0)
+    successors = _Successors(moves, table, rule, legs)
+    first = _Node(start, HOME, 0)
+    cost_mm: dict[_Node, float] = {first: 0.0}
+    came_from: dict[_Node, tuple[_Node, Step]] = {}
+    closed: set[_Node] = set()
+    order = count()
+    bound_mm = successors.rest_mm(start, HOME)
+    queue = [(weight * bound_mm, -next(order), first)]
+    looks = 0
+    while queue:
+        estimate_mm, _, node = heappop(queue)
+        if node in closed:
+            continue
+        bound_mm = estimate_mm
+        if node.depth == moves:
+            return TravelSearch(_way_to(node, came_from), estimate_mm)
+        if looks > max_looks:
+            break
+        closed.add(node)
+        so_far_mm = cost_mm[node]
+        for step, successor in successors.of(node.arrangement, node.depth):
+            looks += 1
+            _, pick, target = step
+            following = _Node(successor, target, node.depth + 1)
+            total_mm = so_far_mm + legs.leg_mm(node.hand, pick) + legs.between_mm[pick][target]
+            if total_mm < cost_mm.get(following, math.inf):
+                cost_mm[following] = total_mm
+                came_from[following] = (node, step)
+                rest_mm = successors.rest_mm(successor, target)
+                heappush(queue, (total_mm + weight * rest_mm, -next(order), following))
+    return TravelSearch(None, bound_mm)
+
+
+class _Node(NamedTuple):
+    arrangement: Arrangement
+    hand: int
+    depth: int
+
+
+def _way_to(node: _Node, came_from: dict[_Node, tuple[_Node, Step]]) -> tuple[Step, ...]:
     steps: list[Step] = []
-    arrangement, hand = start, HOME
-    for depth in range(moves):
-        _, edge = to_go.best(depth, arrangement, hand)
-        steps.append(edge.step)
-        arrangement, hand = edge.successor, edge.step[2]
-    return tuple(steps)
+    while node in came_from:
+        node, step = came_from[node]
+        steps.append(step)
+    return tuple(reversed(steps))
 
 
-def _layers(start: Arrangement, moves: int, table: ConflictTable, rule: GoalRule, max_edges: int) -> list[Layer] | None:
-    """Return per layer the arrangements of least-move plans with the moves that lead on; None above the cap."""
-    layers: list[Layer] = [{start: []}]
-    seen = {start}
-    edges = 0
-    for depth in range(moves):
-        following: Layer = {}
-        for arrangement, leads_on in layers[depth].items():
-            for step in possible_moves(arrangement, table):
-                edges += 1
-                if edges > max_edges:
-                    return None
-                successor = after(arrangement, step)
-                if successor not in following:
-                    if successor in seen or depth + 1 + rule.lower_bound(successor) > moves:
-                        continue
-                    following[successor] = []
-                leads_on.append(_Edge(step, successor))
-        seen.update(following)
-        layers.append(following)
-    alive = {arrangement for arrangement in layers[moves] if rule.is_reached(arrangement)}
-    for depth in range(moves - 1, -1, -1):
-        kept: Layer = {}
-        for arrangement, leads_on in layers[depth].items():
-            useful = [edge for edge in leads_on if edge.successor in alive]
-            if useful:
-                kept[arrangement] = useful
-        layers[depth] = kept
-        alive = set(kept)
-    return layers
+class _Successors:
+    """Moves that least-move plans may hold, and the lower bound of the travel that remains.
 
+    Both are asked for once per hand position of an arrangement, and computed once.
+    """
 
-class _CostToGo:
-    """Cost to go with the hand at a place, computed once per (arrangement, hand)."""
+    def __init__(self, moves: int, table: ConflictTable, rule: GoalRule, legs: Distances) -> None:
+        self._moves = moves
+        self._table = table
+        self._rule = rule
+        places = range(table.place_count)
+        self._nearest_mm = [min([legs.home_mm[p], *(legs.between_mm[q][p] for q in places if q != p)]) for p in places]
+        self._to_goal_mm = [
+            [min((legs.between_mm[p][q] for q in places if mask >> q & 1), default=0.0) for p in places]
+            for mask in rule.allowed
+        ]
+        self._home_mm = legs.home_mm
+        self._shortest_home_mm = min(legs.home_mm)
+        self._known: dict[tuple[Arrangement, int], list[tuple[Step, Arrangement]]] = {}
+        self._moves_left: dict[Arrangement, int] = {}
+        self._rest_mm: dict[Arrangement, float] = {}
 
-    def __init__(self, legs: Distances, layers: list[Layer]) -> None:
-        self._legs = legs
-        self._layers = layers
-        self._memo: dict[tuple[Arrangement, int], float] = {}
-        self._pick_memo: dict[Arrangement, list[tuple[int, float, _Edge]]] = {}
-        # Backwards, so that every value that a layer asks for is already there: no recursion over the depth.
-        for depth in range(len(layers) - 2, 0, -1):
-            for arrangement in layers[depth]:
-                self._picks(depth, arrangement)
+    def of(self, arrangement: Arrangement, depth: int) -> list[tuple[Step, Arrangement]]:
+        """Return the moves from an arrangement after which the goal may still be reached in time."""
+        key = (arrangement, depth)
+        known = self._known.get(key)
+        if known is None:
+            known = self._known[key] = list(self._in_time(arrangement, depth))
+        return known
 
-    def best(self, depth: int, arrangement: Arrangement, hand: int) -> tuple[float, _Edge]:
-        """Return the least cost to go and the move that it begins with."""
-        return min(
-            (
-                (self._legs.leg_mm(hand, pick) + rest_mm, edge)
-                for pick, rest_mm, edge in self._picks(depth, arrangement)
-            ),
-            key=lambda choice: choice[0],
+    def _in_time(self, arrangement: Arrangement, depth: int) -> Iterator[tuple[Step, Arrangement]]:
+        allowed = self._rule.allowed
+        left = self._moves - depth - 1
+        wrong = len(self._rule.misplaced(arrangement))
+        for step in possible_moves(arrangement, self._table):
+            item, origin, target = step
+            mask = allowed[item]
+            # The number of misplaced objects alone rules most moves out; the closed form costs more.
+            if wrong + (mask >> origin & 1) - (mask >> target & 1) > left:
+                continue
+            successor = after(arrangement, step)
+            bound = self._moves_left.get(successor)
+            if bound is None:
+                bound = self._moves_left[successor] = self._rule.lower_bound(successor)
+            if bound <= left:
+                yield step, successor
+
+    def rest_mm(self, arrangement: Arrangement, hand: int) -> float:
+        """Return a lower bound on the travel from an arrangement with the hand at a place (or `HOME`).
+
+        An object that was just put down may be picked up again without an empty leg.
+        """
+        known_mm = self._rest_mm.get(arrangement)
+        if known_mm is None:
+            known_mm = self._rest_mm[arrangement] = sum(
+                self._nearest_mm[arrangement[item]] + self._to_goal_mm[item][arrangement[item]]
+                for item in self._rule.misplaced(arrangement)
+            )
+        if hand == HOME:
+            return known_mm + self._shortest_home_mm
+        if self._rule.is_reached(arrangement):
+            return self._home_mm[hand]
+        in_hand_place = any(
+            place == hand and not self._rule.allowed[item] >> hand & 1 for item, place in enumerate(arrangement)
         )
-
-    def _picks(self, depth: int, arrangement: Arrangement) -> list[tuple[int, float, _Edge]]:
-        """Return per place to pick from: the least cost from the pick on, and its move."""
-        known = self._pick_memo.get(arrangement)
-        if known is not None:
-            return known
-        best: dict[int, tuple[float, _Edge]] = {}
-        for edge in self._layers[depth][arrangement]:
-            _, pick, target = edge.step
-            cost_mm = self._legs.between_mm[pick][target] + self._cost(depth + 1, edge.successor, target)
-            if pick not in best or cost_mm < best[pick][0]:
-                best[pick] = (cost_mm, edge)
-        picks = [(pick, cost_mm, edge) for pick, (cost_mm, edge) in best.items()]
-        self._pick_memo[arrangement] = picks
-        return picks
-
-    def _cost(self, depth: int, arrangement: Arrangement, hand: int) -> float:
-        if depth == len(self._layers) - 1:
-            return self._legs.home_mm[hand]
-        key = (arrangement, hand)
-        cost_mm = self._memo.get(key)
-        if cost_mm is None:
-            cost_mm, _ = self.best(depth, arrangement, hand)
-            self._memo[key] = cost_mm
-        return cost_mm
+        return known_mm + self._shortest_home_mm - (self._nearest_mm[hand] if in_hand_place else 0.0)
