@@ -10,11 +10,11 @@ from pydantic.dataclasses import dataclass
 
 from srvs_cell.geometry import wrap_angle_deg
 from srvs_cell.scene import Grasp
-from srvs_cell.vision.face_fit import Figure
+from srvs_cell.vision.faces import Figure
 
 if TYPE_CHECKING:
     from srvs_cell.geometry import Array
-    from srvs_cell.vision.face_fit import Face
+    from srvs_cell.vision.faces import Face
 
 _HALF_TURN_DEG = 180.0
 _FLAT_NORMAL_DEG = 30.0

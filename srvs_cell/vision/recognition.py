@@ -18,7 +18,8 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from srvs_cell.scene import UNKNOWN_KIND, Workpiece
-from srvs_cell.vision.face_fit import EdgeField, Face, FaceFit, Figure, fit_face
+from srvs_cell.vision.face_fit import EdgeField, FaceFit, fit_face
+from srvs_cell.vision.faces import Face, Figure
 from srvs_cell.vision.grasping import GraspParameters, plan_grasp
 
 if TYPE_CHECKING:
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
     from srvs_cell.vision.rectification import RectifiedRig
 
 _HALF_TURN_DEG = 180.0
+_CERTAIN_RMS_PX = 0.15
+"""A figure that fits like this leaves nothing for another one to explain."""
+_RECTANGLE_FILL = 0.89
+"""Share of the bounding rectangle: between a hexagon's 0.87 at most and a rectangle's 1."""
 _MIN_POINTS = 5
 _SIDE_FACE_MARGIN_MM = 4.0
 _COLUMN_SHARE = 0.5
@@ -147,6 +152,8 @@ def _fit_top(
         fit = fit_face(start, fields, rig, inclined=False, min_gradient=limits.min_gradient)
         if fit is not None and (best is None or fit.rms_px < best.rms_px):
             best = fit
+        if best is not None and best.rms_px < _CERTAIN_RMS_PX:
+            break
     if best is not None and best.face.figure is Figure.RECTANGLE:
         best = _inclined(best, fields, rig, limits)
     return best if best is not None and _is_top(best, table_z_mm, limits) else None
@@ -178,7 +185,8 @@ def _starts(surface: Surface, rig: RectifiedRig) -> list[Face]:
     across_corners = float(np.sqrt(moments["m00"] * 8.0 / (3.0 * np.sqrt(3.0))))
     corner = _hexagon_angle(hull.reshape(-1, 2).astype(np.float64) - middle)
     hexagon = Face(Figure.HEXAGON, *middle, centre_z_mm, corner, across_corners, across_corners * np.sqrt(3.0) / 2.0)
-    return [rectangle, circle, hexagon]
+    likely = moments["m00"] / (length_mm * width_mm) > _RECTANGLE_FILL
+    return [rectangle, circle, hexagon] if likely else [circle, hexagon, rectangle]
 
 
 def _hexagon_angle(hull: Array) -> float:
@@ -250,7 +258,7 @@ def _rises(surface: Surface, table_z_mm: float, limits: RecognitionParameters) -
 def _workpiece(top: _Top, rig: RectifiedRig, table_z_mm: float, limits: RecognitionParameters) -> Workpiece:
     face = _long_side_first(top.fit.face)
     centre = (face.x_mm, face.y_mm, face.z_mm)
-    covariance = top.fit.covariance + rig.error_budget.systematic_mm2(centre)
+    covariance = top.fit.covariance_mm2 + rig.error_budget.systematic_mm2(centre)
     grasp, refusal = plan_grasp(face, covariance, table_z_mm, limits.grasp)
     return Workpiece(
         id=0,
