@@ -78,14 +78,14 @@ def resolve(
 def show_alarms(*, limit: Limit = 20, as_json: Json = False, socket: Socket = DEFAULT_SOCKET) -> None:
     """List the newest alarms with cause and remedy."""
     with DaemonClient(socket) as daemon:
-        body = daemon.read("alarms", limit=limit)
+        body = daemon.read(f"alarms?limit={limit}")
     typer.echo(json.dumps(body) if as_json else "\n".join(map(_alarm_text, body["alarms"])) or "No alarms.")
 
 
 def show_history(*, limit: Limit = 50, as_json: Json = False, socket: Socket = DEFAULT_SOCKET) -> None:
     """List the newest entries of the journal."""
     with DaemonClient(socket) as daemon:
-        body = daemon.read("history", limit=limit)
+        body = daemon.read(f"history?limit={limit}")
     typer.echo(json.dumps(body) if as_json else "\n".join(map(_entry_text, body["history"])) or "Nothing yet.")
 
 

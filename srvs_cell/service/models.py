@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 from pydantic import BaseModel, ConfigDict
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Awaitable, Sequence
 
     from srvs_cell.alarms import Alarm
     from srvs_cell.cell import Command, CommandAnswer, Mode
@@ -40,11 +40,11 @@ class ServedUnit(Protocol):
 class ServedJournal(Protocol):
     """The part of `srvs_cell.cell.Journal` that the API uses."""
 
-    async def history(self, limit: int) -> Sequence[dict[str, Any]]:
+    def history(self, limit: int) -> Awaitable[Sequence[dict[str, Any]]]:
         """Return the newest records, newest first."""
         ...
 
-    async def alarms(self, limit: int) -> Sequence[dict[str, Any]]:
+    def alarms(self, limit: int) -> Awaitable[Sequence[dict[str, Any]]]:
         """Return the newest alarms, newest first."""
         ...
 

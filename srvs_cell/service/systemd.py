@@ -17,7 +17,8 @@ def notify(*assignments: str, environment: Mapping[str, str] = os.environ) -> bo
     """Send ``assignments`` such as ``"READY=1"`` to the service manager in one datagram.
 
     Returns:
-        False where no service manager listens (``$NOTIFY_SOCKET`` is not set), which is no error.
+        Whether it was sent. It is not where no service manager listens (``$NOTIFY_SOCKET`` is not set), nor where it
+        does not read what was sent before: the cell does not wait for its supervisor.
 
     Raises:
         OSError: the socket that the service manager named cannot be reached.
@@ -28,8 +29,12 @@ def notify(*assignments: str, environment: Mapping[str, str] = os.environ) -> bo
     if address.startswith("@"):
         address = "\0" + address[1:]  # Linux's abstract namespace
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
+        channel.setblocking(False)
         channel.connect(address)
-        channel.sendall("\n".join(assignments).encode())
+        try:
+            channel.send("\n".join(assignments).encode())
+        except BlockingIOError:
+            return False
     return True
 
 

@@ -31,6 +31,15 @@ def test_abstract_addresses_are_understood() -> None:
         assert manager.recv(1024) == b"WATCHDOG=1"
 
 
+def test_a_manager_that_does_not_read_cannot_stop_the_cell() -> None:
+    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        address = f"{folder}/notify"
+        manager.bind(address)
+        sent = [notify("WATCHDOG=1", environment={"NOTIFY_SOCKET": address}) for _ in range(10_000)]
+    assert sent[0]
+    assert not sent[-1]
+
+
 def test_without_a_service_manager_nothing_is_sent() -> None:
     assert not notify("READY=1", environment={})
 

@@ -1,0 +1,61 @@
+"""What a unit works with, made from the config: devices, journal, run folder, and the rooms of vision and planning."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import TYPE_CHECKING
+
+from srvs_cell.cell import Equipment, Journal, RunRecorder, Unit, make_devices
+from srvs_cell.planning import Workspace, plan_relocation
+from srvs_cell.vision import StereoView, perceive
+from srvs_cell.vision.overlay import draw_locations, draw_matches
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from srvs_cell.calibration import Calibration
+    from srvs_cell.cell import StereoLook
+    from srvs_cell.config import CellConfig
+    from srvs_cell.scene import Perception
+
+_JOURNAL = "journal.sqlite"
+
+
+def make_unit(config: CellConfig, state_dir: Path) -> Unit:
+    """Return the unit, with devices that are not connected yet.
+
+    Args:
+        config: the cell.
+        state_dir: folder of the journal and of the run folders.
+
+    Raises:
+        AlarmError: CALIBRATION_INVALID.
+    """
+    calibration = config.load_calibration()
+    box = config.cell.workspace
+    workspace = Workspace(x_min_mm=box.x_mm[0], x_max_mm=box.x_mm[1], y_min_mm=box.y_mm[0], y_max_mm=box.y_mm[1])
+    equipment = Equipment(
+        parameters=config.cell,
+        devices=make_devices(config),
+        journal=Journal(state_dir / _JOURNAL),
+        recorder=RunRecorder(state_dir),
+        calibration=calibration,
+        perceive=partial(_perceive, config, calibration),
+        plan=partial(plan_relocation, parameters=config.planning, workspace=workspace),
+        pictures=_pictures,
+    )
+    return Unit(equipment, simulation=config.simulation)
+
+
+def _perceive(config: CellConfig, calibration: Calibration, look: StereoLook) -> Perception:
+    view = StereoView(calibration, look.base_T_tcp_left, look.base_T_tcp_right, config.cell.table_z_mm)
+    return perceive(look.left, look.right, config.vision, view=view, stopwatch=time.perf_counter)
+
+
+def _pictures(perception: Perception) -> dict[str, NDArray[np.uint8]]:
+    """Return the paper's Fig. 6 and Fig. 7 of a look."""
+    return {"planes": draw_matches(perception), "locations": draw_locations(perception)}
