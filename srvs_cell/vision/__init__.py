@@ -1,1 +1,19 @@
 """Vision: two images to workpieces, one file a step, in the order of the paper."""
+
+from srvs_cell.vision.parameters import Maxima, VisionParameters
+from srvs_cell.vision.pfm import encode_pfm
+from srvs_cell.vision.pipeline import LeftAnalysis, StereoView, analyse_image, analyse_left, perceive
+from srvs_cell.vision.report import perception_to_json, workpiece_to_json
+
+__all__ = [
+    "LeftAnalysis",
+    "Maxima",
+    "StereoView",
+    "VisionParameters",
+    "analyse_image",
+    "analyse_left",
+    "encode_pfm",
+    "perceive",
+    "perception_to_json",
+    "workpiece_to_json",
+]

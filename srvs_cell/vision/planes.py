@@ -1,0 +1,216 @@
+"""Steps 6 and 7: region growing between the tracked edges, and the six parameters of each plane.
+
+Growing begins where the edges are far: what a circle of the gap's width can reach is one region, so that a small gap in
+an edge lets nothing through. Then narrower places are added, level by level, and at last the edge pixels themselves are
+shared out among the regions beside them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from srvs_cell.scene import Plane
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srvs_cell.vision.parameters import PlaneParameters
+
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+_MAX_MEETING_STEPS = 12
+"""Regions that meet on a level share the pixels between them, which lie within a few steps."""
+_EDGE_SHARING_STEPS = 3
+_DIAGONAL = float(np.sqrt(2.0))
+
+
+def grow_regions(
+    grey: NDArray[np.uint8],
+    edges: NDArray[np.bool_],
+    parameters: PlaneParameters,
+    valid: NDArray[np.bool_] | None = None,
+) -> NDArray[np.int32]:
+    """Grow regions between edges.
+
+    Args:
+        grey: uint8, shape (H, W).
+        edges: tracked edges, bool, shape (H, W).
+        parameters: gap width and brightness bound.
+        valid: pixels that belong to the image; all where None.
+
+    Returns:
+        Labels, int32, shape (H, W), 1 and up; 0 where the image is not valid or no region came.
+    """
+    usable = np.ones(grey.shape, dtype=np.bool_) if valid is None else valid
+    free = usable & ~edges & ~_untracked_steps(grey, edges, parameters.max_brightness_step)
+    distance = cv2.distanceTransform(free.astype(np.uint8), cv2.DIST_L2, 3)
+    labels = np.zeros(grey.shape, dtype=np.int32)
+    for level in range(parameters.gap_width_px, -1, -1):
+        labels = _grow_level(labels, distance > level)
+    for _ in range(_EDGE_SHARING_STEPS):
+        labels = _share(labels, usable)
+    return labels
+
+
+def _untracked_steps(grey: NDArray[np.uint8], edges: NDArray[np.bool_], max_step: float) -> NDArray[np.bool_]:
+    """Return where the brightness steps by more than a region may and no edge was tracked."""
+    image = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.0)
+    step = np.zeros(grey.shape, dtype=np.float32)
+    step[:, :-1] = np.abs(np.diff(image, axis=1))
+    step[:-1] = np.maximum(step[:-1], np.abs(np.diff(image, axis=0)))
+    near = cv2.dilate(edges.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    return np.asarray((step > max_step) & ~near)
+
+
+def _grow_level(labels: NDArray[np.int32], reach: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Add what this level reaches: to the one region that a component holds, among several, or as a new region."""
+    count, found = cv2.connectedComponents(reach.astype(np.uint8), connectivity=4)
+    components = np.asarray(found, dtype=np.int32)
+    labelled = labels > 0
+    low = np.full(count, np.iinfo(np.int32).max, dtype=np.int32)
+    high = np.zeros(count, dtype=np.int32)
+    np.minimum.at(low, components[labelled], labels[labelled])
+    np.maximum.at(high, components[labelled], labels[labelled])
+    fresh = high == 0
+    fresh[0] = False
+    label_of = np.where(low == high, low, 0)
+    label_of[fresh] = int(labels.max()) + np.arange(1, np.count_nonzero(fresh) + 1)
+    label_of[0] = 0
+    grown = np.where(labelled, labels, label_of[components]).astype(np.int32)
+    shared = reach & (label_of[components] == 0)
+    if shared.any():
+        for _ in range(_MAX_MEETING_STEPS):
+            before = grown
+            grown = _share(grown, shared)
+            if np.array_equal(before, grown):
+                break
+    return grown
+
+
+def _share(labels: NDArray[np.int32], reach: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return the labels after one step of growth into what is in reach and has none."""
+    # OpenCV dilates no int32; float32 holds every label below 2**24 exactly
+    grown = cv2.dilate(labels.astype(np.float32), _CROSS).astype(np.int32)
+    return np.where((labels == 0) & reach, grown, labels).astype(np.int32)
+
+
+def measure_planes(
+    grey: NDArray[np.uint8],
+    labels: NDArray[np.int32],
+    parameters: PlaneParameters,
+    valid: NDArray[np.bool_] | None = None,
+) -> tuple[NDArray[np.int32], tuple[Plane, ...]]:
+    """Find the six parameters of every region and reject the degenerate ones.
+
+    Args:
+        grey: uint8, shape (H, W).
+        labels: int32, shape (H, W), 0 where there is no region; numbers may be missing.
+        parameters: the limits of a plane.
+        valid: pixels that belong to the image; all where None.
+
+    Returns:
+        Labels 1 to N of the N planes, and the planes.
+    """
+    present = np.bincount(labels.ravel()) > 0
+    present[0] = True
+    compact = (np.cumsum(present) - 1).astype(np.int32)[labels]
+    count = int(compact.max()) + 1
+    flat = compact.ravel()
+    rows, columns = np.indices(labels.shape)
+    area = np.bincount(flat, minlength=count).astype(np.float64)
+    safe_area = np.maximum(area, 1.0)
+    centre_x = np.bincount(flat, weights=columns.ravel(), minlength=count) / safe_area
+    centre_y = np.bincount(flat, weights=rows.ravel(), minlength=count) / safe_area
+    brightness = np.bincount(flat, weights=grey.ravel(), minlength=count) / safe_area
+    perimeter = perimeters(compact, count)
+    border_rows, border_columns = np.nonzero(_boundary(compact))
+    owner = compact[border_rows, border_columns]
+    radius = np.hypot(border_columns - centre_x[owner], border_rows - centre_y[owner])
+    short_cut = np.full(count, np.inf)
+    long_cut = np.zeros(count)
+    np.minimum.at(short_cut, owner, radius)
+    np.maximum.at(long_cut, owner, radius)
+    boxes = _boxes(border_rows, border_columns, owner, count)
+    cut_off = np.zeros(count, dtype=np.bool_)
+    cut_off[np.unique(compact[_frame(labels.shape, valid)])] = True
+    good = (
+        (area >= parameters.min_area_px)
+        & (4.0 * area >= parameters.min_thickness_px * perimeter)
+        & (area <= parameters.max_area_share * labels.size)
+    )
+    good[0] = False
+    kept = np.flatnonzero(good)
+    number = np.zeros(count, dtype=np.int32)
+    number[kept] = np.arange(1, kept.size + 1)
+    planes = tuple(
+        Plane(
+            id=int(number[k]),
+            centre_px=(float(centre_x[k]), float(centre_y[k])),
+            area_px=float(area[k]),
+            perimeter_px=float(perimeter[k]),
+            short_cut_px=float(short_cut[k]),
+            long_cut_px=float(long_cut[k]),
+            brightness=float(brightness[k]),
+            box_px=boxes[k],
+            touches_border=bool(cut_off[k]),
+        )
+        for k in kept.tolist()
+    )
+    return number[compact], planes
+
+
+def perimeters(labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+    """Return the length of each region's boundary, pixels, shape (count,).
+
+    Every window of 2x2 pixels adds, for each region in it, the length of the boundary that passes through it: 1 where
+    it passes straight, half a diagonal where it cuts one corner, a diagonal where it cuts two.
+    """
+    framed = np.pad(labels, 1, constant_values=-1)
+    window = np.stack([framed[:-1, :-1], framed[:-1, 1:], framed[1:, 1:], framed[1:, :-1]], axis=-1)
+    mixed = (window != window[..., :1]).any(axis=-1)
+    corners = window[mixed]
+    same = corners[:, :, None] == corners[:, None, :]
+    members = same.sum(axis=2)
+    opposite = same[:, np.arange(4), (np.arange(4) + 2) % 4]
+    length = np.where(members == 2, np.where(opposite, _DIAGONAL, 1.0), _DIAGONAL / 2.0)  # noqa: PLR2004 - half of four
+    share = length / members
+    inside = corners >= 0
+    return np.asarray(np.bincount(corners[inside], weights=share[inside], minlength=count), dtype=np.float64)
+
+
+def _boundary(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return the pixels that have a 4-neighbour of another label, or none."""
+    framed = np.pad(labels, 1, constant_values=-1)
+    centre = framed[1:-1, 1:-1]
+    return np.asarray(
+        (centre != framed[:-2, 1:-1])
+        | (centre != framed[2:, 1:-1])
+        | (centre != framed[1:-1, :-2])
+        | (centre != framed[1:-1, 2:])
+    )
+
+
+def _boxes(
+    rows: NDArray[np.intp], columns: NDArray[np.intp], owner: NDArray[np.int32], count: int
+) -> list[tuple[int, int, int, int]]:
+    edges = []
+    for position in (columns, rows):
+        low = np.full(count, np.iinfo(np.int64).max)
+        high = np.full(count, -1)
+        np.minimum.at(low, owner, position)
+        np.maximum.at(high, owner, position)
+        edges.append((low, high))
+    (x0, x1), (y0, y1) = edges
+    return [
+        (int(left), int(top), int(right - left + 1), int(bottom - top + 1))
+        for left, right, top, bottom in zip(x0, x1, y0, y1, strict=True)
+    ]
+
+
+def _frame(shape: tuple[int, ...], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    """Return the pixels at the border of the image or of its valid part."""
+    usable = np.ones(shape, dtype=np.uint8) if valid is None else valid.astype(np.uint8)
+    inner = cv2.erode(usable, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray((usable > 0) & (inner == 0))
