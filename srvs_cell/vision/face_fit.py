@@ -42,7 +42,7 @@ _FLAT = 1e-9
 _MISSING_PX = 3.0
 _SUPPORT_PX = 1.0
 _DAMPING = 1e-6
-_STEP_LIMITS = (12.0, 12.0, 12.0, 12.0, 0.3, 12.0, 0.4, 0.4)
+_STEP_LIMITS = (12.0, 12.0, 12.0, 12.0, 0.3, 12.0, 0.4)
 _EDGE_SIGMA_PX = 0.05
 """Least standard deviation of one edge sample (references/vision.md C: a sober practical limit)."""
 _CORRELATED_SAMPLES = 4.0
@@ -165,7 +165,7 @@ def fit_face(
         start: where to begin; within about six pixels of the edges.
         fields: gradients of the rectified left and right image.
         rig: the rectified cameras.
-        inclined: whether the slopes of a rectangle are free.
+        inclined: whether the slope along a rectangle's length is free.
         min_gradient: least gradient of an edge, grey values per pixel.
 
     Returns:

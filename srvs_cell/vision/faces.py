@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -107,14 +107,29 @@ class Face:
         cos, sin = np.cos(self.angle_rad), np.sin(self.angle_rad)
         return np.column_stack([cos * u - sin * v, sin * u + cos * v, self.slope_u * u + self.slope_v * v])
 
+    def quarter_turned(self) -> Face:
+        """Return the same rectangle with length and width exchanged."""
+        # the new length runs along the old width, the new width against the old length
+        return replace(
+            self,
+            angle_rad=self.angle_rad + np.pi / 2.0,
+            length_mm=self.width_mm,
+            width_mm=self.length_mm,
+            slope_u=self.slope_v,
+            slope_v=-self.slope_u,
+        )
+
     def parameters(self, *, inclined: bool) -> Array:
-        """Return the free parameters: x, y, z, length and, as the figure has them, angle, width, both slopes."""
+        """Return the free parameters: x, y, z, length and, as the figure has them, angle, width, slope along u.
+
+        Only one slope is free: the inclined face of a wedge rises along one of its sides.
+        """
         common = [self.x_mm, self.y_mm, self.z_mm, self.length_mm]
         if self.figure is Figure.CIRCLE:
             return np.array(common)
         if self.figure is Figure.HEXAGON:
             return np.array([*common, self.angle_rad])
-        slopes = [self.slope_u, self.slope_v] if inclined else []
+        slopes = [self.slope_u] if inclined else []
         return np.array([*common, self.angle_rad, self.width_mm, *slopes])
 
     def with_parameters(self, values: Array) -> Face:
@@ -147,7 +162,7 @@ class Face:
             columns.append(by_width)
             if inclined:
                 up = np.array([0.0, 0.0, 1.0])
-                columns += [unit[:, :1] * self.length_mm / 2.0 * up, unit[:, 1:] * self.width_mm / 2.0 * up]
+                columns.append(unit[:, :1] * self.length_mm / 2.0 * up)
         return np.stack(columns)
 
     @property

@@ -19,7 +19,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from srvs_cell.scene import UNKNOWN_KIND, Workpiece
 from srvs_cell.vision.face_fit import EdgeField, FaceFit, fit_face
-from srvs_cell.vision.faces import Face, Figure
+from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
 from srvs_cell.vision.grasping import GraspParameters, plan_grasp
 
 if TYPE_CHECKING:
@@ -34,7 +34,10 @@ _CERTAIN_RMS_PX = 0.15
 """A figure that fits like this leaves nothing for another one to explain."""
 _RECTANGLE_FILL = 0.89
 """Share of the bounding rectangle: between a hexagon's 0.87 at most and a rectangle's 1."""
-_MIN_POINTS = 5
+_START_SLOPE = 0.36
+"""20 degrees: from here the edges of inclinations from 5 to 35 degrees are within reach."""
+_SIDES = 4
+_UP = np.array([0.0, 0.0, 1.0])
 _SIDE_FACE_MARGIN_MM = 4.0
 _COLUMN_SHARE = 0.5
 _TOP_MARGIN_MM = 5.0
@@ -66,7 +69,7 @@ class RecognitionParameters:
     ] = 0.5
     min_inclination_deg: Annotated[
         float, Field(gt=0.0, lt=90.0, description="a top face inclined by less is level")
-    ] = 4.0
+    ] = 5.0
     max_inclination_deg: Annotated[
         float, Field(gt=0.0, lt=90.0, description="a face inclined by more is a side face")
     ] = 50.0
@@ -153,40 +156,79 @@ def _fit_top(
         if fit is not None and (best is None or fit.rms_px < best.rms_px):
             best = fit
         if best is not None and best.rms_px < _CERTAIN_RMS_PX:
-            break
-    if best is not None and best.face.figure is Figure.RECTANGLE:
-        best = _inclined(best, fields, rig, limits)
+            return best if _is_top(best, table_z_mm, limits) else None
+    inclined = _inclined(surface, fields, rig, limits)
+    if inclined is not None and (best is None or inclined.rms_px < limits.inclined_gain * best.rms_px):
+        best = inclined
     return best if best is not None and _is_top(best, table_z_mm, limits) else None
 
 
 def _starts(surface: Surface, rig: RectifiedRig) -> list[Face]:
-    """Return the figures to begin with: the region's outline laid on the level plane through its centre."""
-    x, y, disparity = rig.project_px(surface.outline_mm)
-    centre_z_mm = surface.centre_mm[2]
-    a, b, c = rig.plane_disparity(np.array([0.0, 0.0, 1.0]), centre_z_mm)
-    level = a * x + b * y + c
-    outline = rig.points_mm(x, y, np.where(level > 0.0, level, disparity))[:, :2].astype(np.float32)
-    if len(outline) < _MIN_POINTS:
-        return []
-    hull = cv2.convexHull(outline)
-    (x_mm, y_mm), (length_mm, width_mm), angle_deg = cv2.minAreaRect(hull)
-    if width_mm > length_mm:
-        length_mm, width_mm, angle_deg = width_mm, length_mm, angle_deg + 90.0
-    angle = float(np.deg2rad(angle_deg))
-    rectangle = Face(Figure.RECTANGLE, x_mm, y_mm, centre_z_mm, angle, length_mm, width_mm)
-    if width_mm <= 0.0:
-        return []
-    moments = cv2.moments(hull)
+    """Return the level figures to begin with, the likeliest first: they have the region's place and area."""
+    hull = _laid_on(surface, rig, _UP)
+    moments = cv2.moments(hull.astype(np.float32))
     if moments["m00"] <= 0.0:
         return []
+    z_mm = surface.centre_mm[2]
+    rectangle = _bounding_rectangle(hull, z_mm)
     middle = (moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
     diameter = float(np.sqrt(moments["m00"] * 4.0 / np.pi))
-    circle = Face(Figure.CIRCLE, *middle, centre_z_mm, 0.0, diameter, diameter)
+    circle = Face(Figure.CIRCLE, *middle, z_mm, 0.0, diameter, diameter)
     across_corners = float(np.sqrt(moments["m00"] * 8.0 / (3.0 * np.sqrt(3.0))))
-    corner = _hexagon_angle(hull.reshape(-1, 2).astype(np.float64) - middle)
-    hexagon = Face(Figure.HEXAGON, *middle, centre_z_mm, corner, across_corners, across_corners * np.sqrt(3.0) / 2.0)
-    likely = moments["m00"] / (length_mm * width_mm) > _RECTANGLE_FILL
+    corner = _hexagon_angle(hull - middle)
+    hexagon = Face(Figure.HEXAGON, *middle, z_mm, corner, across_corners, across_corners * HEXAGON_RATIO)
+    likely = moments["m00"] / (rectangle.length_mm * rectangle.width_mm) > _RECTANGLE_FILL
     return [rectangle, circle, hexagon] if likely else [circle, hexagon, rectangle]
+
+
+def _inclined(
+    surface: Surface, fields: tuple[EdgeField, EdgeField], rig: RectifiedRig, limits: RecognitionParameters
+) -> FaceFit | None:
+    """Return the best rectangle that is inclined along one of its sides; matching says too little of the slope."""
+    level = _bounding_rectangle(_laid_on(surface, rig, _UP), surface.centre_mm[2])
+    best: FaceFit | None = None
+    for turn in range(_SIDES):
+        direction = level.angle_rad + turn * np.pi / 2.0
+        rise = np.array([np.cos(direction), np.sin(direction)])
+        start = _bounding_rectangle(
+            _laid_on(surface, rig, np.append(-_START_SLOPE * rise, 1.0)), surface.centre_mm[2], direction
+        )
+        fit = fit_face(
+            replace(start, slope_u=_START_SLOPE), fields, rig, inclined=True, min_gradient=limits.min_gradient
+        )
+        if (
+            fit is not None
+            and limits.min_inclination_deg <= fit.face.inclination_deg <= limits.max_inclination_deg
+            and (best is None or fit.rms_px < best.rms_px)
+        ):
+            best = fit
+    return best
+
+
+def _laid_on(surface: Surface, rig: RectifiedRig, normal: Array) -> Array:
+    """Return the convex hull, seen from above, of a region laid on a plane through its centre, shape (N, 2)."""
+    x, y, own = rig.project_px(surface.outline_mm)
+    a, b, c = rig.plane_disparity(normal, float(np.dot(normal, surface.centre_mm)))
+    disparity = a * x + b * y + c
+    # a plane that passes behind the camera somewhere says nothing there: the surface's own place is kept
+    outline = rig.points_mm(x, y, np.where(disparity > 0.0, disparity, own))[:, :2]
+    return np.asarray(cv2.convexHull(outline.astype(np.float32)), dtype=np.float64).reshape(-1, 2)
+
+
+def _bounding_rectangle(hull: Array, z_mm: float, direction_rad: float | None = None) -> Face:
+    """Return the bounding rectangle, least in area, or with its length along a direction."""
+    if direction_rad is None:
+        (x_mm, y_mm), (length_mm, width_mm), angle_deg = cv2.minAreaRect(hull.astype(np.float32))
+        face = Face(Figure.RECTANGLE, x_mm, y_mm, z_mm, float(np.deg2rad(angle_deg)), length_mm, width_mm)
+        return face if length_mm >= width_mm else face.quarter_turned()
+    cos, sin = np.cos(direction_rad), np.sin(direction_rad)
+    turned = hull @ np.array([[cos, -sin], [sin, cos]])
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    u, v = (low + high) / 2.0
+    length_mm, width_mm = high - low
+    return Face(
+        Figure.RECTANGLE, cos * u - sin * v, sin * u + cos * v, z_mm, direction_rad, float(length_mm), float(width_mm)
+    )
 
 
 def _hexagon_angle(hull: Array) -> float:
@@ -196,16 +238,6 @@ def _hexagon_angle(hull: Array) -> float:
     arc = 0.5 * np.linalg.norm(np.roll(hull, -1, axis=0) - np.roll(hull, 1, axis=0), axis=1)
     harmonic = (arc * radius * np.exp(6j * turn)).sum()
     return float(np.angle(harmonic) / 6.0)
-
-
-def _inclined(
-    level: FaceFit, fields: tuple[EdgeField, EdgeField], rig: RectifiedRig, limits: RecognitionParameters
-) -> FaceFit:
-    """Return the inclined rectangle where it explains the edges clearly better than the level one."""
-    free = fit_face(level.face, fields, rig, inclined=True, min_gradient=limits.min_gradient)
-    if free is None or not limits.min_inclination_deg <= free.face.inclination_deg <= limits.max_inclination_deg:
-        return level
-    return free if free.rms_px < limits.inclined_gain * level.rms_px else level
 
 
 def _is_top(fit: FaceFit, table_z_mm: float, limits: RecognitionParameters) -> bool:
@@ -220,7 +252,7 @@ def _is_top(fit: FaceFit, table_z_mm: float, limits: RecognitionParameters) -> b
 
 
 def _height_mm(face: Face, table_z_mm: float) -> float:
-    return float(face.corners_mm()[:, 2].max()) - table_z_mm
+    return face.highest_mm - table_z_mm
 
 
 def _owner(surface: Surface, fit: FaceFit, tops: list[_Top]) -> int | None:
@@ -286,15 +318,7 @@ def _kind(face: Face) -> str:
 def _long_side_first(face: Face) -> Face:
     if face.figure is not Figure.RECTANGLE or face.length_mm >= face.width_mm:
         return face
-    # turned by a quarter: the new length runs along the old width, the new width against the old length
-    return replace(
-        face,
-        angle_rad=face.angle_rad + np.pi / 2.0,
-        length_mm=face.width_mm,
-        width_mm=face.length_mm,
-        slope_u=face.slope_v,
-        slope_v=-face.slope_u,
-    )
+    return face.quarter_turned()
 
 
 def _unknown(surface: Surface, table_z_mm: float) -> Workpiece:
