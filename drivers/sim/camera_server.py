@@ -1,0 +1,114 @@
+"""Serves the simulated camera's frames on a loopback socket."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+from typing import TYPE_CHECKING, Final
+
+from drivers.sim.camera_wire import FRAME, GRAB, HEADER, NO_FRAME, NOT_GRABBED, RETRIEVE
+
+if TYPE_CHECKING:
+    from drivers.sim.camera_stream import CameraStream, Exposure, PictureMaker
+    from drivers.sim.clock_authority import SimTime
+
+_NO_FRAME_AFTER_S: Final = 1.0
+_NO_FRAME_REAL_S: Final = 5.0
+_READER_GRACE_S: Final = 0.2
+_WAIT_S: Final = 0.2
+
+
+class CameraServer:
+    """A camera that one program at a time may open.
+
+    Args:
+        stream: frames as they are exposed.
+        pictures: renders them.
+        time: simulated time; it stands still while a picture is rendered, and briefly while the reader takes note of
+            a frame.
+    """
+
+    def __init__(self, stream: CameraStream, pictures: PictureMaker, time: SimTime) -> None:
+        self._stream, self._pictures, self._time = stream, pictures, time
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.settimeout(_WAIT_S)
+        self._connection: socket.socket | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="camera server", daemon=True)
+
+    def start(self) -> int:
+        """Serve; return the port."""
+        self._thread.start()
+        return int(self._listener.getsockname()[1])
+
+    def close(self) -> None:
+        """End the server; its reader's connection is cut."""
+        self._closing.set()
+        self.disconnect()
+        self._thread.join()
+        self._listener.close()
+
+    def disconnect(self) -> None:
+        """Cut the reader's connection, as a pulled plug would."""
+        connection = self._connection
+        if connection is not None:
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+    def _serve(self) -> None:
+        while not self._closing.is_set():
+            try:
+                connection, _ = self._listener.accept()
+            except TimeoutError:
+                continue
+            with connection:
+                self._connection = connection
+                with contextlib.suppress(OSError):
+                    self._attend(connection)
+                self._connection = None
+
+    def _attend(self, connection: socket.socket) -> None:
+        connection.settimeout(None)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        exposure: Exposure | None = None
+        while not self._closing.is_set():
+            request = connection.recv(1)
+            if request == GRAB:
+                exposure = self._next()
+                if exposure is None:
+                    connection.sendall(HEADER.pack(NO_FRAME, 0, 0.0, 0, 0))
+                    continue
+                with self._time.hold():
+                    connection.sendall(HEADER.pack(FRAME, exposure.sequence, exposure.stamp_s, 0, 0))
+                    select.select([connection], [], [], _READER_GRACE_S)
+            elif request == RETRIEVE:
+                self._send_picture(connection, exposure)
+            else:
+                return
+
+    def _next(self) -> Exposure | None:
+        """Wait for a frame, for a while of simulated time."""
+        with self._time.lock:
+            until_s = self._time.now_s() + _NO_FRAME_AFTER_S
+            taken: list[Exposure] = []
+
+            def ready() -> bool:
+                exposure = self._stream.take()
+                if exposure is not None:
+                    taken.append(exposure)
+                return exposure is not None or self._time.now_s() >= until_s or self._closing.is_set()
+
+            self._time.lock.wait_for(ready, _NO_FRAME_REAL_S)
+        return taken[0] if taken else None
+
+    def _send_picture(self, connection: socket.socket, exposure: Exposure | None) -> None:
+        if exposure is None:
+            connection.sendall(HEADER.pack(NOT_GRABBED, 0, 0.0, 0, 0))
+            return
+        with self._time.hold():
+            picture = self._pictures.picture(exposure)
+            height, width = picture.shape
+            header = HEADER.pack(FRAME, exposure.sequence, exposure.stamp_s, width, height)
+            connection.sendall(header + picture.tobytes())

@@ -1,0 +1,133 @@
+"""The simulated cell as a program: the entry point ``mujoco`` of the group ``srvs_cell.simulators``.
+
+Prints one JSON line on stdout that says what listens where, then serves until SIGTERM, SIGINT, the end of stdin, or
+``{"op": "shutdown"}`` on the control socket. Everything listens on loopback only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import signal
+import sys
+import tempfile
+import threading
+from contextlib import ExitStack
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from drivers.sim.simulation import SimulationParameters
+
+_LOG: Final = logging.getLogger("srvs_cell.sim")
+_LEVELS: Final = ("none", "real")
+_EXIT_FAILED: Final = 1
+_POLL_S: Final = 0.2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the simulated cell; return the exit code."""
+    arguments = _parser().parse_args(argv)
+    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    if find_spec("mujoco") is None:
+        _LOG.error("The simulated cell needs MuJoCo: pip install 'srvs-cell[sim]'.")
+        return _EXIT_FAILED
+    return _serve(arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="srvs-cell sim", description="A simulated stereo robot vision cell.")
+    parser.add_argument("--objects", type=int, default=5, help="number of parts, 1 to 10")
+    parser.add_argument("--seed", type=int, default=0, help="the same seed gives the same cell")
+    parser.add_argument("--speed", type=float, default=20.0, help="how much faster than life while the daemon waits")
+    parser.add_argument("--imperfections", choices=_LEVELS, default="real", help="a perfect cell or a real one")
+    parser.add_argument("--modbus-port", type=int, default=0, help="0 takes a free one")
+    parser.add_argument("--calibration-out", type=Path, default=None, help="where to write the calibration file")
+    parser.add_argument("--clock-page", type=Path, default=None, help="where to make the clock page")
+    parser.add_argument("--ties", action="store_true", help="two parts have the same height")
+    return parser
+
+
+def _serve(arguments: argparse.Namespace) -> int:
+    # needs MuJoCo, an extra: imported when it is known to be there
+    from drivers.sim.scenario import ScenarioError  # noqa: PLC0415
+    from drivers.sim.simulation import SimulationParameters  # noqa: PLC0415
+
+    parameters = SimulationParameters(
+        objects=arguments.objects,
+        seed=arguments.seed,
+        speed=arguments.speed,
+        level=arguments.imperfections,
+        ties=arguments.ties,
+    )
+    try:
+        return _run(parameters, arguments)
+    except (OSError, ScenarioError) as error:
+        _LOG.error("The simulated cell cannot start: %s", error)
+        return _EXIT_FAILED
+
+
+def _run(parameters: SimulationParameters, arguments: argparse.Namespace) -> int:
+    from drivers.sim.camera_server import CameraServer  # noqa: PLC0415 - see `_serve`
+    from drivers.sim.clock_page import ClockPage  # noqa: PLC0415
+    from drivers.sim.control_server import Control, ControlServer  # noqa: PLC0415
+    from drivers.sim.imperfections import write_calibration  # noqa: PLC0415
+    from drivers.sim.modbus_controller import ModbusController  # noqa: PLC0415
+    from drivers.sim.simulation import Simulation  # noqa: PLC0415
+
+    ended = threading.Event()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="srvs-sim-")))
+        page_path = arguments.clock_page or folder / "clock"
+        calibration_path = arguments.calibration_out or folder / "calibration.yaml"
+        page = ClockPage.create(page_path)
+        stack.callback(page.close)
+        simulation = Simulation(parameters, page)
+        write_calibration(simulation.camera, calibration_path)
+        controller = ModbusController(simulation.arm, simulation.time, arguments.modbus_port)
+        camera_server = CameraServer(simulation.stream, simulation.pictures, simulation.time)
+        control_server = ControlServer(Control(simulation, camera_server, ended.set))
+        stack.callback(simulation.time.close)
+        simulation.time.start()
+        stack.callback(camera_server.close)
+        stack.callback(control_server.close)
+        stack.callback(controller.close)
+        line: dict[str, Any] = {
+            "modbus_port": controller.start(),
+            "camera_port": camera_server.start(),
+            "control_port": control_server.start(),
+            "clock_page": str(page_path),
+            "calibration": str(calibration_path),
+            **simulation.layout(),
+        }
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: ended.set())
+        _end_with_stdin(ended)
+        sys.stdout.write(json.dumps(line) + "\n")
+        sys.stdout.flush()
+        _LOG.info("%d parts, seed %d, imperfections %s", parameters.objects, parameters.seed, parameters.level)
+        while not ended.wait(_POLL_S):
+            if simulation.time.failure is not None:
+                _LOG.error("The physics has failed: %r", simulation.time.failure)
+                return _EXIT_FAILED
+    return 0
+
+
+def _end_with_stdin(ended: threading.Event) -> None:
+    """End when stdin ends, so that no simulator outlives who started it; a terminal or no stdin does not count."""
+    if sys.stdin is None or sys.stdin.isatty():
+        return
+
+    def watch() -> None:
+        sys.stdin.read()
+        ended.set()
+
+    threading.Thread(target=watch, name="stdin", daemon=True).start()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

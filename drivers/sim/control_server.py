@@ -1,0 +1,145 @@
+"""The control socket of the simulated cell: one JSON object per line asks, one answers. For demos and tests only."""
+
+from __future__ import annotations
+
+import base64
+import json
+import socketserver
+import threading
+from typing import TYPE_CHECKING, Any, Final
+
+import cv2
+import numpy as np
+
+from drivers.sim.truth import truth
+from srvs_cell.ports import RobotMode
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from drivers.sim.camera_server import CameraServer
+    from drivers.sim.simulation import Simulation
+
+_ESTOP: Final = "SRVO-001 Operator panel E-stop"
+_FAULT: Final = "SRVO-023 Stop error excess"
+_DROP_HEIGHT_MM: Final = 40.0
+
+
+class RequestError(ValueError):
+    """A request that the control socket does not know or cannot carry out."""
+
+
+class Control:
+    """Carries out requests.
+
+    Args:
+        simulation: the cell.
+        camera_server: its camera.
+        shutdown: ends the simulator.
+    """
+
+    def __init__(self, simulation: Simulation, camera_server: CameraServer, shutdown: Callable[[], None]) -> None:
+        self._simulation, self._camera_server, self._shutdown = simulation, camera_server, shutdown
+        self._pictures = simulation.picture_maker()
+        self._rendering = threading.Lock()
+        self._faults: dict[str, Callable[[dict[str, Any]], None]] = {
+            "e_stop": lambda _: simulation.arm.raise_fault(_ESTOP, servo_off=True),
+            "arm_fault": lambda request: simulation.arm.raise_fault(str(request.get("text", _FAULT))),
+            "camera_stop": lambda request: self._set_stream("running", not request.get("on", True)),
+            "camera_freeze": lambda request: self._set_stream("frozen", bool(request.get("on", True))),
+            "camera_disconnect": lambda _: camera_server.disconnect(),
+            "drop_part": self._drop_part,
+            "move_part": self._move_part,
+            "override": lambda request: setattr(simulation.arm, "override_percent", int(request["percent"])),
+            "mode": lambda request: setattr(simulation.arm, "mode", RobotMode(request["mode"])),
+            "pendant": lambda request: setattr(simulation.arm, "pendant_enabled", bool(request["on"])),
+        }
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Return the answer to a request.
+
+        Raises:
+            RequestError: the request is unknown, or its values are wrong.
+        """
+        operation = request.get("op")
+        if operation == "truth":
+            return truth(self._simulation)
+        if operation == "inject":
+            fault = self._faults.get(str(request.get("fault")))
+            if fault is None:
+                raise RequestError(f"fault must be one of {', '.join(self._faults)}")
+            with self._simulation.time.lock:
+                fault(request)
+            return {"ok": True, "time_s": self._simulation.time.now_s()}
+        if operation == "render":
+            return {"png": self._render()}
+        if operation == "shutdown":
+            self._shutdown()
+            return {"ok": True}
+        raise RequestError("op must be truth, inject, render or shutdown")
+
+    def _render(self) -> str:
+        exposure = self._simulation.view_now()
+        with self._rendering, self._simulation.time.hold():
+            picture = self._pictures.picture(exposure)
+        encoded = np.asarray(cv2.imencode(".png", picture)[1])
+        return base64.b64encode(encoded.tobytes()).decode("ascii")
+
+    def _set_stream(self, name: str, value: bool) -> None:
+        setattr(self._simulation.stream, name, value)
+
+    def _drop_part(self, _request: dict[str, Any]) -> None:
+        """Let the held part slip: it is moved out of the jaws, down and aside."""
+        world = self._simulation.world
+        held = world.held_part()
+        if held is None:
+            raise RequestError("no part is held")
+        pose = world.part_poses()[held].base_T_part.copy()
+        pose[2, 3] -= _DROP_HEIGHT_MM
+        pose[:3, 3] += world.base_T_tcp[:3, 0] * (world.gripper.finger_width_mm + world.parts[held].length_mm)
+        world.put_part(held, pose)
+
+    def _move_part(self, request: dict[str, Any]) -> None:
+        """Push a part aside by ``dx_mm`` and ``dy_mm``, as a person would."""
+        world = self._simulation.world
+        index = int(request["part"])
+        if not 0 <= index < len(world.parts):
+            raise RequestError(f"part must be 0 to {len(world.parts) - 1}")
+        pose = world.part_poses()[index].base_T_part.copy()
+        pose[:2, 3] += (float(request.get("dx_mm", 0.0)), float(request.get("dy_mm", 0.0)))
+        world.put_part(index, pose)
+
+
+class ControlServer:
+    """Serves `Control` on loopback."""
+
+    def __init__(self, control: Control) -> None:
+        class Handler(socketserver.StreamRequestHandler):
+            def handle(self) -> None:
+                for line in self.rfile:
+                    self.wfile.write((json.dumps(_reply(control, line)) + "\n").encode())
+
+        self._server = socketserver.ThreadingTCPServer(("127.0.0.1", 0), Handler)
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(target=self._server.serve_forever, name="control server", daemon=True)
+
+    def start(self) -> int:
+        """Serve; return the port."""
+        self._thread.start()
+        return int(self._server.server_address[1])
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def _reply(control: Control, line: bytes) -> dict[str, Any]:
+    try:
+        request = json.loads(line)
+        if not isinstance(request, dict):
+            raise RequestError("a request is a JSON object")
+        return control.answer(request)
+    except (ValueError, KeyError, TypeError) as error:
+        return {"error": f"{type(error).__name__}: {error}"}

@@ -1,0 +1,219 @@
+"""Random tables: parts that stand apart far enough that the open gripper can pick and place each of them anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.sim.parts import CUBOID, CYLINDER, KINDS, PRISM, WEDGE, Part, prism_across_flats_mm
+from srvs_cell.geometry import axis_rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from drivers.sim.gripper_geometry import GripperGeometry
+    from srvs_cell.geometry import Array
+
+MIN_PARTS, MAX_PARTS = 1, 10
+_LAYOUT_TRIES = 400
+_PART_TRIES = 300
+_CROWDED_FROM = 7
+"""From this many parts on only slender ones fit the table with room for the fingers."""
+
+
+class ScenarioError(ValueError):
+    """No table with these properties was found."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioParameters:
+    """What a table may look like, lengths in millimetres.
+
+    Attributes:
+        x_mm, y_mm: where centres of parts may be, base frame.
+        height_mm: least and greatest height.
+        width_mm: least and greatest narrow side.
+        length_mm: least and greatest long side.
+        height_step_mm: least difference of two heights, except for ties.
+        tie_mm: greatest difference of the two heights of a tie.
+        gap_mm: least free distance between fully open fingers, or a part, and any other part at any place.
+        table_albedo: reflectance of the table.
+        contrast: least difference of a part's reflectance to the table's.
+        label_share: share of parts with a printed top.
+    """
+
+    x_mm: tuple[float, float] = (640.0, 860.0)
+    y_mm: tuple[float, float] = (-150.0, 150.0)
+    height_mm: tuple[float, float] = (15.0, 110.0)
+    width_mm: tuple[float, float] = (25.0, 55.0)
+    length_mm: tuple[float, float] = (30.0, 70.0)
+    height_step_mm: float = 5.0
+    tie_mm: float = 1.0
+    gap_mm: float = 5.0
+    table_albedo: float = 0.42
+    contrast: float = 0.10
+    label_share: float = 0.35
+
+
+def make_scenario(
+    count: int, seed: int, gripper: GripperGeometry, parameters: ScenarioParameters | None = None, *, ties: bool = False
+) -> tuple[Part, ...]:
+    """Return ``count`` parts; the same arguments always give the same parts.
+
+    Args:
+        count: 1 to 10.
+        seed: of the random generator.
+        gripper: its fingers need room beside every part.
+        parameters: what the table may look like.
+        ties: make the heights of two parts equal within ``tie_mm``.
+
+    Raises:
+        ScenarioError: the count is out of range, or no layout was found.
+    """
+    if not MIN_PARTS <= count <= MAX_PARTS:
+        raise ScenarioError(f"{count} parts: {MIN_PARTS} to {MAX_PARTS} fit the table")
+    parameters = parameters or ScenarioParameters()
+    random = np.random.default_rng([seed, count])
+    for _ in range(_LAYOUT_TRIES):
+        shapes = _shapes(count, random, parameters, ties=ties)
+        parts = _lay_out(shapes, random, gripper, parameters)
+        if parts is not None:
+            return parts
+    raise ScenarioError(f"no room found for {count} parts with seed {seed}")
+
+
+def _shapes(count: int, random: np.random.Generator, parameters: ScenarioParameters, *, ties: bool) -> list[Part]:
+    heights = _heights(count, random, parameters, ties=ties)
+    return [_shape(KINDS[int(random.integers(len(KINDS)))], h, count, random, parameters) for h in heights]
+
+
+def _heights(count: int, random: np.random.Generator, parameters: ScenarioParameters, *, ties: bool) -> list[float]:
+    """Draw heights that are at least a step apart: random gaps between sorted values."""
+    low, high = parameters.height_mm
+    slack = high - low - parameters.height_step_mm * (count - 1)
+    offsets = np.sort(random.uniform(0.0, slack, count))
+    heights = low + offsets + parameters.height_step_mm * np.arange(count)
+    if ties and count > 1:
+        at = int(random.integers(count - 1))
+        heights[at + 1] = heights[at] + random.uniform(0.0, parameters.tie_mm)
+    return [float(height) for height in random.permutation(heights)]
+
+
+def _shape(
+    kind: str, height_mm: float, count: int, random: np.random.Generator, parameters: ScenarioParameters
+) -> Part:
+    shrink = 1.0 if count < _CROWDED_FROM else 0.7
+    narrow, wide = parameters.width_mm[0], parameters.width_mm[1] * shrink
+    # a slender part would tip when the gripper lets go of it
+    width = float(random.uniform(max(narrow, min(wide, height_mm * 0.35)), wide))
+    longest = parameters.length_mm[1] * shrink
+    length = float(random.uniform(min(longest, max(parameters.length_mm[0], width * 1.15)), longest))
+    low_height = height_mm
+    if kind == CYLINDER:
+        length = width
+    elif kind == PRISM:
+        length, width = width, prism_across_flats_mm(width)
+    elif kind == WEDGE:
+        if height_mm < parameters.height_mm[0] * 1.6:
+            kind = CUBOID
+        else:
+            low_height = max(parameters.height_mm[0], height_mm - length * float(random.uniform(0.3, 0.55)))
+    albedo = _albedo(random, parameters)
+    label = kind == CUBOID and bool(random.random() < parameters.label_share)
+    return Part(
+        kind=kind,
+        length_mm=length,
+        width_mm=width,
+        height_mm=height_mm,
+        low_height_mm=low_height,
+        x_mm=0.0,
+        y_mm=0.0,
+        yaw_deg=float(random.uniform(0.0, 180.0)),
+        albedo=albedo,
+        label=label,
+    )
+
+
+def _albedo(random: np.random.Generator, parameters: ScenarioParameters) -> float:
+    low, high = 0.14, 0.85
+    while True:
+        albedo = float(random.uniform(low, high))
+        if abs(albedo - parameters.table_albedo) >= parameters.contrast:
+            return albedo
+
+
+def _lay_out(
+    shapes: Sequence[Part], random: np.random.Generator, gripper: GripperGeometry, parameters: ScenarioParameters
+) -> tuple[Part, ...] | None:
+    """Place one part after the other where everybody fits beside everybody; None where there is no room."""
+    reach = _reaches_mm(shapes, gripper)
+    placed: list[Part] = []
+    for part in shapes:
+        for _ in range(_PART_TRIES):
+            at = np.array([random.uniform(*parameters.x_mm), random.uniform(*parameters.y_mm)])
+            if all(_clear(at - (other.x_mm, other.y_mm), reach, parameters.gap_mm) for other in placed):
+                placed.append(replace(part, x_mm=float(at[0]), y_mm=float(at[1])))
+                break
+        else:
+            return None
+    return tuple(placed)
+
+
+@dataclass(frozen=True)
+class _Reaches:
+    """For 180 directions of displacement, how near two places may be for all pairs of parts."""
+
+    least_mm: Array
+
+
+def _reaches_mm(shapes: Sequence[Part], gripper: GripperGeometry) -> _Reaches:
+    """Return the least distance of two places for each direction of 1 degree.
+
+    Any part may come to stand at any place, so the least distance is the largest one over all ordered pairs of parts:
+    part and open fingers of the one against the part of the other.
+    """
+    bodies = [[part.footprint_mm(), *_fingers_mm(part, gripper)] for part in shapes]
+    angle = np.deg2rad(np.arange(360.0))
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    least = np.zeros(360)
+    for i, own in enumerate(bodies):
+        for j, other in enumerate(bodies):
+            if i != j:
+                for piece in own:
+                    least = np.maximum(least, _touching_mm(piece, other[0], direction))
+    return _Reaches(np.maximum(least, np.roll(least, 180)))
+
+
+def _fingers_mm(part: Part, gripper: GripperGeometry) -> list[Array]:
+    near = gripper.max_opening_mm / 2.0
+    far, half = near + gripper.finger_thickness_mm, gripper.finger_width_mm / 2.0
+    turn = axis_rotation("z", part.grip_yaw_deg)[:2, :2].T
+    finger = np.array([[near, -half], [far, -half], [far, half], [near, half]])
+    return [finger @ turn, -finger @ turn]
+
+
+def _touching_mm(a: Array, b: Array, direction: Array) -> Array:
+    """Return, for unit directions (N, 2), the greatest displacement of convex b along it that still touches convex a.
+
+    By separating axes: b displaced by t d is apart from a if for some edge normal n the intervals do not meet.
+    """
+    normals = []
+    for polygon in (a, b):
+        edge = np.roll(polygon, -1, axis=0) - polygon
+        normals.append(np.stack([edge[:, 1], -edge[:, 0]], axis=1))
+    normal = np.vstack(normals)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.vstack([normal, -normal])
+    reach = (a @ normal.T).max(axis=0) - (b @ normal.T).min(axis=0)
+    along = direction @ normal.T
+    leave = np.where(along > 1e-9, reach / np.maximum(along, 1e-9), np.inf)  # noqa: PLR2004 - a parallel axis never parts
+    return np.asarray(np.maximum(leave.min(axis=1), 0.0))
+
+
+def _clear(displacement_mm: Array, reach: _Reaches, gap_mm: float) -> bool:
+    distance = float(np.hypot(*displacement_mm))
+    at = int(np.rad2deg(np.arctan2(displacement_mm[1], displacement_mm[0]))) % 360
+    nearby = reach.least_mm[[(at - 1) % 360, at, (at + 1) % 360]]
+    return distance >= float(nearby.max()) + gap_mm
