@@ -66,7 +66,7 @@ class DaemonClient:
         return self._ask("POST", name, body)
 
     def changes(self) -> Iterator[dict[str, Any]]:
-        """Yield the status now and after each change, until the daemon ends."""
+        """Yield the status now and after each change; the daemon's end is silence."""
         connection = _UnixConnection(self._path, self._timeout_s)
         event = ""
         try:
@@ -76,6 +76,7 @@ class DaemonClient:
                     event = line.split()[1].decode()
                 elif line.startswith(_DATA) and event == "status":
                     yield json.loads(line.removeprefix(_DATA))
+            raise ConnectionError("the daemon has ended the stream")
         except (OSError, HTTPException) as error:
             raise self._silence(error) from error
         finally:

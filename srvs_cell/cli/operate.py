@@ -145,7 +145,9 @@ def _workpiece_text(workpiece: dict[str, Any]) -> str:
 
 
 def _alarm_text(alarm: dict[str, Any]) -> str:
-    return f"{alarm['at']}  [{alarm['code']} {alarm['name']}] {alarm['detail']}"
+    lines = [f"{alarm['at']}  [{alarm['code']} {alarm['name']}] {alarm['detail']}"]
+    lines += [f"  {name.capitalize()}: {alarm[name]}" for name in ("cause", "remedy") if name in alarm]
+    return "\n".join(lines)
 
 
 def _entry_text(entry: dict[str, Any]) -> str:

@@ -107,6 +107,7 @@ class FakeUnit:
             "allowed_commands": [command.title for command in allowed_commands(self.state, self.mode)],
             "mode_change_allowed": True,
             "timings_ms": {},
+            "job_time_s": None,
             "runs_done": 6,
             "run_directory": folder,
             "artefacts": {

@@ -20,6 +20,7 @@ import yaml
 
 from srvs_cell.cli.client import DaemonClient
 from srvs_cell.cli.main import run
+from tests.service.fakes import FakeUnit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -112,6 +113,7 @@ def test_daemon_serves_aborted_when_devices_cannot_be_reached_and_ends_tidily(si
         with DaemonClient(site.api) as daemon:
             seen = next(s for s in daemon.changes() if any(a["name"] == "CONNECTION_REFUSED" for a in s["alarms"]))
             refused = daemon.command("command/start")
+        assert set(seen) == {*FakeUnit().snapshot(), "service"}, "the fake unit of the other tests tells the truth"
         assert (seen["state"], seen["mode"], seen["simulation"]) == ("Aborted", "Production", False)
         assert seen["service"]["page"].startswith("http://127.0.0.1:")
         assert refused["leads_there"] == ["clear", "reset", "start"]
