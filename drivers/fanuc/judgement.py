@@ -42,10 +42,20 @@ _FAULT_TEXTS: Final = {
 }
 
 
+def fault_text(snapshot: Snapshot) -> str | None:
+    """Return what only a reset at the controller can end: its alarm, or that its program does not run; else None."""
+    if UopOutput.FAULT in snapshot.uop:
+        return snapshot.alarm or "an alarm that is not named"
+    if snapshot.uop & (UopOutput.PAUSED | UopOutput.HELD) or UopOutput.PROGRUN not in snapshot.uop:
+        return "program SRVS does not run (paused, held or ended)"
+    return None
+
+
 def refusal(snapshot: Snapshot) -> NotReadyError | None:
     """Return why the robot may not be moved by this PC as it stands, or None where it may."""
-    if UopOutput.FAULT in snapshot.uop:
-        return NotReadyError(Alarm.ROBOT_FAULT, f"The controller is in fault ({snapshot.alarm or 'no alarm named'}).")
+    fault = fault_text(snapshot)
+    if fault is not None:
+        return NotReadyError(Alarm.ROBOT_FAULT, f"The controller is in fault: {fault}.")
     if snapshot.mode != RobotMode.AUTO or UopOutput.TPENBL in snapshot.uop:
         pendant = "enabled" if UopOutput.TPENBL in snapshot.uop else "disabled"
         return NotReadyError(Alarm.MODE_NOT_AUTO, f"Mode {snapshot.mode.value}, pendant {pendant}.")
@@ -53,8 +63,6 @@ def refusal(snapshot: Snapshot) -> NotReadyError | None:
         return NotReadyError(Alarm.ROBOT_NOT_READY, "Servo power is off (SYSRDY): E-stop or fence.")
     if UopOutput.CMDENBL not in snapshot.uop:
         return NotReadyError(Alarm.ROBOT_NOT_READY, "Remote conditions are not met (CMDENBL is off).")
-    if snapshot.uop & (UopOutput.PAUSED | UopOutput.HELD) or UopOutput.PROGRUN not in snapshot.uop:
-        return NotReadyError(Alarm.ROBOT_NOT_READY, "The program SRVS is not running (paused, held or ended).")
     if snapshot.busy:
         return NotReadyError(
             Alarm.ROBOT_BUSY,

@@ -113,8 +113,8 @@ class FanucModbusArm:
         await self._wire.connect()
         try:
             snapshot = await self._first_reading()
-            halted = snapshot.uop & (UopOutput.FAULT | UopOutput.PAUSED | UopOutput.HELD)
-            if snapshot.busy and not halted:  # a halted program must stay reachable for `reset_fault`
+            # A robot in fault must stay reachable, or its fault could not be reset.
+            if snapshot.busy and judgement.fault_text(snapshot) is None:
                 raise NotReadyError(
                     Alarm.ROBOT_BUSY,
                     f"{self._wire.address}: state {snapshot.state}, sequence {snapshot.sequence} written, "
@@ -157,12 +157,12 @@ class FanucModbusArm:
 
     async def disconnect(self) -> None:
         """End the heartbeat and close the wire; a move in progress is stopped by the robot's watchdog."""
+        self._wire.close()
         if self._heartbeat is not None:
             self._heartbeat.cancel()
             with contextlib.suppress(asyncio.CancelledError):  # it was cancelled one line above
                 await self._heartbeat
             self._heartbeat = None
-        self._wire.close()
         self._lifecycle = Lifecycle.DISCONNECTED
 
     async def status(self) -> RobotStatus:
@@ -176,7 +176,7 @@ class FanucModbusArm:
             servo_on=UopOutput.SYSRDY in snapshot.uop,
             moving=snapshot.busy,
             override_percent=snapshot.override_percent,
-            fault=(snapshot.alarm or "not named") if UopOutput.FAULT in snapshot.uop else None,
+            fault=judgement.fault_text(snapshot),
             user_frame=snapshot.user_frame,
             user_tool=snapshot.user_tool,
             session_owner=None,
@@ -216,11 +216,10 @@ class FanucModbusArm:
         await self._wire.write_output(output, on=True)
         try:
             snapshot = await self._read()
-            while UopOutput.FAULT in snapshot.uop or UopOutput.PROGRUN not in snapshot.uop or snapshot.busy:
+            while (fault := judgement.fault_text(snapshot)) is not None or snapshot.busy:
                 if self._clock.now_s() > deadline_s:
                     raise DeviceFaultError(
-                        Alarm.ROBOT_FAULT,
-                        f"Fault {snapshot.alarm or 'not named'} is not reset after {self._config.reset_timeout_s} s.",
+                        Alarm.ROBOT_FAULT, f"Not reset after {self._config.reset_timeout_s} s: {fault or 'still busy'}."
                     )
                 await self._clock.sleep(self._config.poll_s)
                 snapshot = await self._read()

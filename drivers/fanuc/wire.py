@@ -126,6 +126,8 @@ class ModbusWire:
         client = self._client
         if client is None or not client.connected:
             raise NotConnectedError(Alarm.CONNECTION_LOST, f"{self.address}: {what}: not connected.")
+        task = asyncio.current_task()
+        cancelled_before = task.cancelling() if task is not None else 0
         self._outstanding += 1
         try:
             reply = await request(client)
@@ -139,6 +141,8 @@ class ModbusWire:
             ) from error
         finally:
             self._outstanding -= 1
+        if task is not None and task.cancelling() > cancelled_before:
+            raise asyncio.CancelledError  # Python 3.11's wait_for loses a cancellation that comes with the answer
         if reply.isError():
             raise PortError(
                 Alarm.PROTOCOL_ERROR,

@@ -96,7 +96,8 @@ class ModbusServer:
 
     def close(self) -> None:
         """Close listener and connection and wait for the threads."""
-        listener, self._listener = self._listener, None
+        with self._lock:
+            listener, self._listener = self._listener, None
         if listener is not None:
             with contextlib.suppress(OSError):  # not connected: shutdown only wakes the accept
                 listener.shutdown(socket.SHUT_RDWR)
@@ -127,7 +128,7 @@ class ModbusServer:
                 return
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             with self._lock:
-                taken = self._connection is not None
+                taken = self._connection is not None or self._listener is None
                 if not taken:
                     self._connection = connection
             if taken:
