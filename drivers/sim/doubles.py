@@ -224,23 +224,28 @@ class FakeArm(_FakeDevice):
         self._stop = False
 
     async def status(self) -> RobotStatus:
+        """Return ``present`` with the pose of now."""
         self.check_reachable()
         if self.lifecycle is Lifecycle.DISCONNECTED:
             raise NotConnectedError(Alarm.DEVICE_UNAVAILABLE, "The fake arm is not connected.")
         return replace(self.present, pose=self.pose, moving=self._moving, read_at_s=self._clock.now_s())
 
     async def move_linear(self, target: Xyzwpr, speed_mm_s: float) -> Xyzwpr:
+        """Move in a straight line."""
         return await self._move(target, speed_mm_s)
 
     async def move_joint(self, target: Xyzwpr, speed_percent: float) -> Xyzwpr:
+        """Move in a straight line, too."""
         return await self._move(target, _JOINT_SPEED_MM_S * speed_percent / _FULL_PERCENT)
 
     async def request_stop(self) -> None:
+        """Stop at the next slice of the motion."""
         self.check_reachable()
         self.stop_requests += 1
         self._stop = self._moving
 
     async def reset_fault(self) -> None:
+        """Reset the fault."""
         self.check_reachable()
         self.fault_resets += 1
         self.present = replace(self.present, fault=None)
@@ -259,6 +264,8 @@ class FakeArm(_FakeDevice):
         try:
             for part in range(1, slices + 1):
                 await self._clock.sleep(duration_s / slices)
+                if self._stop:
+                    raise MotionStoppedError(Alarm.MOTION_STOPPED, f"Stopped at {self.pose} on the way to {target}.")
                 self.pose = Xyzwpr(*(float(value) for value in start + way * part / slices))
                 self._world.carry(self.pose)
                 self._interrupt(trouble if 2 * part >= slices else None, target)
@@ -268,8 +275,6 @@ class FakeArm(_FakeDevice):
         return target
 
     def _interrupt(self, trouble: PortError | None, target: Xyzwpr) -> None:
-        if self._stop:
-            raise MotionStoppedError(Alarm.MOTION_STOPPED, f"Stopped at {self.pose} on the way to {target}.")
         if isinstance(trouble, DeviceFaultError):
             self.present = replace(self.present, fault=trouble.detail)
         if trouble is not None:
@@ -295,6 +300,7 @@ class FakeCamera(_FakeDevice):
         self._clock = clock
 
     async def grab(self, not_before_s: float, timeout_s: float) -> Frame:
+        """Return a grey frame."""
         self.check_reachable()
         if self.silent:
             self.silent -= 1
@@ -323,6 +329,7 @@ class FakeGripper(_FakeDevice):
         self._closed = False
 
     async def state(self) -> GripState:
+        """Return what the sensors feel."""
         self.check_reachable()
         if self.silent:
             return GripState.UNKNOWN
@@ -331,6 +338,7 @@ class FakeGripper(_FakeDevice):
         return GripState.CLOSED_EMPTY if self._closed else GripState.OPEN
 
     async def open(self) -> None:
+        """Open and let go."""
         self.check_reachable()
         await self._clock.sleep(_GRIP_TIME_S)
         self._closed = False
@@ -338,6 +346,7 @@ class FakeGripper(_FakeDevice):
         self._confirm()
 
     async def close(self) -> GripState:
+        """Close on what is between the fingers."""
         self.check_reachable()
         await self._clock.sleep(_GRIP_TIME_S)
         self._closed = True

@@ -3,12 +3,13 @@
 from srvs_cell.cell.devices import Devices, make_devices
 from srvs_cell.cell.job import Equipment
 from srvs_cell.cell.journal import GripperKnowledge, Journal
-from srvs_cell.cell.packml import Command, Mode, State
+from srvs_cell.cell.packml import WAIT_STATES, Command, Mode, State
 from srvs_cell.cell.recorder import RunRecorder
 from srvs_cell.cell.senses import Perceive, Pictures, PlanJob, StereoLook
 from srvs_cell.cell.unit import CommandAnswer, Unit
 
 __all__ = [
+    "WAIT_STATES",
     "Command",
     "CommandAnswer",
     "Devices",

@@ -57,6 +57,8 @@ def plan_json(plan: CellPlan) -> Json:
             {"workpiece": move.workpiece, "from_mm": _rounded(move.from_mm), "to_mm": _rounded(move.to_mm)}
             for move in plan.moves
         ],
+        "goals": [{"workpiece": goal.workpiece, "point_mm": _rounded(goal.point_mm)} for goal in plan.goals],
+        "buffers_mm": [_rounded(point) for point in plan.buffers_mm],
     }
 
 

@@ -64,14 +64,15 @@ def check_speed(speed_mm_s: float, motion: MotionParameters) -> None:
 def check_certainty(workpiece: Workpiece, tolerance: ToleranceParameters) -> None:
     """Raise `AlarmError` UNCERTAIN_POSITION where two sigma of a position exceed what a grasp survives."""
     covariance = np.asarray(workpiece.covariance_mm2, dtype=np.float64)
-    horizontal_mm = _SIGMAS * float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-    vertical_mm = _SIGMAS * float(np.sqrt(covariance[2, 2]))
+    if not np.isfinite(covariance).all():
+        raise AlarmError(Alarm.UNCERTAIN_POSITION, f"Workpiece {workpiece.id}: its covariance is not finite.")
+    horizontal_mm = _SIGMAS * float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance[:2, :2])[-1])))
+    vertical_mm = _SIGMAS * float(np.sqrt(max(0.0, covariance[2, 2])))
     for name, value_mm, bound_mm in (
         ("horizontally", horizontal_mm, tolerance.grasp_mm),
         ("vertically", vertical_mm, tolerance.grasp_height_mm),
     ):
-        # Written so that a NaN, too, is refused.
-        if not value_mm <= bound_mm:
+        if value_mm > bound_mm:
             raise AlarmError(
                 Alarm.UNCERTAIN_POSITION,
                 f"Workpiece {workpiece.id} ({workpiece.kind}) is known to {value_mm:.1f} mm {name} (two sigma), "

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+import structlog
+
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.journal import GripperKnowledge
 from srvs_cell.cell.recovery import Recovery, StepName, decide
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Transform
     from srvs_cell.planning import CellPlan
     from srvs_cell.scene import Point2, Workpiece
+
+_log = structlog.stdlib.get_logger("srvs_cell.cell")
 
 T = TypeVar("T")
 Json = dict[str, Any]
@@ -108,6 +112,8 @@ class Progress:
         moves_left: moves of the present plan that are not finished.
         timings_ms: per step, summed over the job; vision's own steps as ``perceive.NAME``.
         artefacts: name -> path of what was written to the run folder.
+        first_image_s: clock time of the job's first exposure.
+        last_release_s: clock time at which the last part was let go.
     """
 
     step: StepName | None = None
@@ -118,6 +124,15 @@ class Progress:
     moves_left: int = 0
     timings_ms: dict[str, float] = field(default_factory=dict)
     artefacts: dict[str, str] = field(default_factory=dict)
+    first_image_s: float | None = None
+    last_release_s: float | None = None
+
+    @property
+    def job_time_s(self) -> float | None:
+        """The paper's figure: time from the first image to the last release."""
+        if self.first_image_s is None or self.last_release_s is None:
+            return None
+        return self.last_release_s - self.first_image_s
 
 
 class Job:
@@ -205,6 +220,16 @@ class Job:
         self.progress.artefacts[name] = str(path)
         await self.journal_event("artefact", name, {"path": str(path)})
 
+    async def _named_alarms(self, step: Step) -> Outcome:
+        """Run a step; whatever it fails with that has no name becomes INTERNAL_ERROR."""
+        try:
+            return await step.run(self)
+        except AlarmError:
+            raise
+        except Exception as error:
+            _log.exception("a step failed", step=step.name.value, run=self.run_number)
+            raise AlarmError(Alarm.INTERNAL_ERROR, f"{type(error).__name__}: {error}.") from error
+
     async def _do(self, step: Step) -> JobEnd | None:
         """Do one step; return how the job ended where it did."""
         clock = self.equipment.devices.clock
@@ -213,11 +238,16 @@ class Job:
         await self.journal_event("step", step.name.value, {"phase": "begin"})
         started_s = clock.now_s()
         try:
-            outcome = await step.run(self)
+            outcome = await self._named_alarms(step)
         except AlarmError as error:
             recovery = decide(step.name, error.alarm, self._attempts, self.equipment.parameters.retries)
             self._attempts[step.name, error.alarm] += 1
-            detail = {"phase": "failed", "alarm": error.alarm.name, "detail": error.detail, "recovery": recovery.value}
+            detail: Json = {
+                "phase": "failed",
+                "alarm": error.alarm.name,
+                "detail": error.detail,
+                "recovery": recovery.value,
+            }
             if error.alarm is not Alarm.JOURNAL_FAILED:
                 await self.journal_event("step", step.name.value, detail)
             if recovery is Recovery.RETRY:

@@ -102,6 +102,7 @@ class Journal:
         self._now = now
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="journal")
         self._connection: sqlite3.Connection | None = None
+        self._closed = False
 
     @property
     def is_open(self) -> bool:
@@ -113,10 +114,13 @@ class Journal:
         return self._do(self._open)
 
     async def close(self) -> None:
-        """Close the file; the journal cannot be used afterwards."""
+        """Close the file; the journal cannot be used afterwards. A second time changes nothing."""
+        if self._closed:
+            return
         try:
             await self._do(self._close)
         finally:
+            self._closed = True
             self._thread.shutdown(wait=False)
 
     def begin_run(self, mode: str, directory: str) -> Future[int]:
@@ -298,7 +302,12 @@ class Journal:
             except (sqlite3.Error, OSError) as error:
                 raise AlarmError(Alarm.JOURNAL_FAILED, f"{self.path}: {error}.") from error
 
-        return asyncio.get_running_loop().run_in_executor(self._thread, guarded)
+        loop = asyncio.get_running_loop()
+        if self._closed:
+            refused: Future[T] = loop.create_future()
+            refused.set_exception(AlarmError(Alarm.JOURNAL_FAILED, f"{self.path} is closed."))
+            return refused
+        return loop.run_in_executor(self._thread, guarded)
 
 
 def _rows(cursor: sqlite3.Cursor, json_columns: tuple[str, ...] = _JSON_COLUMNS) -> list[Json]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.interlocks import check_robot_ready, check_speed, check_target
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from srvs_cell.config import CellParameters
     from srvs_cell.geometry import Xyzwpr
     from srvs_cell.ports import RobotStatus
+
+T = TypeVar("T")
 
 _ARRIVAL_MM = 2.0
 _ARRIVAL_DEG = 1.0
@@ -213,7 +215,7 @@ class Manipulator:
         with self._clock.working():
             await self._journal.outcome(motion, outcome, result)
 
-    async def _commanded(self, motion: int, command: Callable[[], Awaitable[Any]]) -> Any:
+    async def _commanded(self, motion: int, command: Callable[[], Awaitable[T]]) -> T:
         """Run a command whose intent is on disk and journal how it failed, where it fails.
 
         An unknown outcome leaves the intent open: after a restart, too, a person has to look.

@@ -192,7 +192,13 @@ class Perceive:
         for name, elapsed_ms in perception.timings_ms.items():
             key = f"perceive.{name}"
             progress.timings_ms[key] = progress.timings_ms.get(key, 0.0) + elapsed_ms
-        content = {"verifying": self.verifying, "workpieces": workpieces, "timings_ms": perception.timings_ms}
+        content = {
+            "verifying": self.verifying,
+            "planes": [len(perception.left.planes), len(perception.right.planes)],
+            "matches": len(perception.matches),
+            "workpieces": workpieces,
+            "timings_ms": perception.timings_ms,
+        }
         await job.save_json(f"perception_{job.looks}", content)
         for name, picture in job.equipment.pictures(perception).items():
             await job.save_image(f"{name}_{job.looks}", picture)
@@ -379,6 +385,7 @@ async def _put_down(job: Job, place: Xyzwpr, loaded_z_mm: float, free_z_mm: floa
         await arm.move_linear(way.near, motion.travel_speed_mm_s, "approach")
     await arm.move_linear(way.at, motion.approach_speed_mm_s, "down to the place")
     await arm.open("let go")
+    job.progress.last_release_s = job.equipment.devices.clock.now_s()
     leave = Approach.of(place, free_z_mm, motion.approach_mm)
     await arm.move_linear(leave.near, motion.approach_speed_mm_s, "up from the place")
     await arm.move_linear(leave.above, motion.travel_speed_mm_s, "to travel height")
@@ -391,5 +398,7 @@ async def _grab(job: Job, name: str) -> NDArray[np.uint8]:
     not_before_s = devices.clock.now_s()
     frame = await devices.camera.grab(not_before_s, look_parameters.frame_timeout_s)
     check_frame(frame, not_before_s, job.equipment.calibration.camera)
+    if job.progress.first_image_s is None:
+        job.progress.first_image_s = frame.exposed_at_s
     await job.save_image(name, frame.image)
     return frame.image

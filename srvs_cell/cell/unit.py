@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import structlog
 
 from srvs_cell.alarms import Alarm, AlarmError, Reaction
 from srvs_cell.cell import packml
@@ -17,7 +19,7 @@ from srvs_cell.cell.alarm_list import AlarmList
 from srvs_cell.cell.export import plan_json, plan_list, status_json, workpiece_json
 from srvs_cell.cell.interlocks import check_frame, check_robot_ready
 from srvs_cell.cell.job import End, Job
-from srvs_cell.cell.journal import GripperKnowledge, utc_now
+from srvs_cell.cell.journal import GripperKnowledge, LeftOver, utc_now
 from srvs_cell.cell.manipulator import Hand, Manipulator
 from srvs_cell.cell.motion import HeldPart
 from srvs_cell.cell.packml import Command, Mode, State
@@ -36,6 +38,9 @@ if TYPE_CHECKING:
     from srvs_cell.cell.journal import Journal
     from srvs_cell.ports import Device, RobotStatus
 
+_log = structlog.stdlib.get_logger("srvs_cell.cell")
+
+T = TypeVar("T")
 Json = dict[str, Any]
 
 _STOP_REPEAT_S = 0.2
@@ -132,6 +137,11 @@ class Unit:
             State.STOPPING: self._stop,
             State.ABORTING: self._abort,
         }
+
+    @property
+    def state(self) -> State:
+        """The PackML state."""
+        return self._state
 
     @property
     def journal(self) -> Journal:
@@ -233,6 +243,7 @@ class Unit:
             "runs_done": self._runs_done,
             "run_directory": None if job is None else str(job.folder),
             "artefacts": {} if progress is None else dict(progress.artefacts),
+            "job_time_s": None if progress is None else progress.job_time_s,
             "clock_s": round(now_s, 3),
         }
 
@@ -267,7 +278,7 @@ class Unit:
             left = await self._journal.open()
         except AlarmError as error:
             self._raise(error)
-            return
+            left = LeftOver((), None, None)
         held = left.held
         if left.motions and held is None:
             held = left.motions[-1]["detail"].get("held")
@@ -320,7 +331,8 @@ class Unit:
             await work()
         except AlarmError as error:
             return error
-        except Exception as error:  # noqa: BLE001 - the last line: whatever happens ends in a named alarm
+        except Exception as error:
+            _log.exception("a state's work failed", state=self._state.title)
             return AlarmError(Alarm.INTERNAL_ERROR, f"{type(error).__name__}: {error}")
         return None
 
@@ -329,8 +341,8 @@ class Unit:
     async def _clear(self) -> None:
         """Reach what cannot be reached, reset the controller's fault: both only because an operator has asked."""
         if not self._journal.is_open:
-            await self._journal.open()
-        await self._journal.event("clear", "devices", run=None, source=_INTERNAL, detail={})
+            await self._written(self._journal.open())
+        await self._written(self._journal.event("clear", "devices", run=None, source=_INTERNAL, detail={}))
         failed = []
         for name, device in self._named_devices():
             try:
@@ -353,7 +365,9 @@ class Unit:
                 await self._devices.arm.status()
             except PortError as error:
                 detail = {"alarm": error.alarm.name, "detail": error.detail}
-                await self._journal.event("device", "reconnect arm", run=None, source=_INTERNAL, detail=detail)
+                await self._written(
+                    self._journal.event("device", "reconnect arm", run=None, source=_INTERNAL, detail=detail)
+                )
                 await device.disconnect()
         if device.lifecycle is Lifecycle.DISCONNECTED:
             await device.connect()
@@ -375,7 +389,7 @@ class Unit:
         if known is GripperKnowledge.HOLDING and self._hand.held is None:
             raise AlarmError(Alarm.GRIPPER_OCCUPIED, "It is not known where the part in the gripper belongs.")
         if known is GripperKnowledge.HOLDING and sensors in {GripState.OPEN, GripState.CLOSED_EMPTY}:
-            await self._journal.resolve(GripperKnowledge.EMPTY, None, f"sensors: {sensors.value}")
+            await self._written(self._journal.resolve(GripperKnowledge.EMPTY, None, f"sensors: {sensors.value}"))
             self._hand.knowledge, self._hand.held = GripperKnowledge.EMPTY, None
 
     async def _start(self) -> None:
@@ -401,8 +415,9 @@ class Unit:
         holding = self._hand.knowledge is GripperKnowledge.HOLDING
         steps = look_only() if self._mode is Mode.MAINTENANCE else whole_job(holding=holding)
         directory = str(self.equipment.recorder.state_dir / RUN_FOLDER)
-        run = await self._journal.begin_run(self._mode.title, directory)
-        folder = await asyncio.to_thread(self.equipment.recorder.begin, run)
+        run = await self._written(self._journal.begin_run(self._mode.title, directory))
+        with self._devices.clock.working():
+            folder = await asyncio.to_thread(self.equipment.recorder.begin, run)
         self._job = self._make_job(steps, run, folder)
 
     def _make_job(self, steps: Sequence[Step], run: int, folder: Path) -> Job:
@@ -434,7 +449,7 @@ class Unit:
             return
         if end.end is End.FINISHED:
             self._runs_done += 1
-            await self._journal.end_run(job.run_number, "finished")
+            await self._written(self._journal.end_run(job.run_number, "finished"))
             self._issue((Command.COMPLETE, Command.STOP), "job finished")
             return
         await self._end_failed_run(job, end)
@@ -446,7 +461,7 @@ class Unit:
     async def _end_failed_run(self, job: Job, end: JobEnd) -> None:
         name = "halted" if end.error is None else end.error.alarm.name
         if end.error is None or end.error.alarm is not Alarm.JOURNAL_FAILED:
-            await self._journal.end_run(job.run_number, name)
+            await self._written(self._journal.end_run(job.run_number, name))
 
     async def _hold(self) -> None:
         """Stand still, keep what is held."""
@@ -462,7 +477,7 @@ class Unit:
             self._job.finish = True
             end = await asyncio.shield(self._job_task)
             self._job_task = None
-            await self._journal.end_run(self._job.run_number, end.end.value)
+            await self._written(self._journal.end_run(self._job.run_number, end.end.value))
             if end.error is not None:
                 raise end.error
         self._paused = False
@@ -518,10 +533,10 @@ class Unit:
             AlarmError: what the job ended with, if that is not the stop; MOTION_OUTCOME_UNKNOWN where the motion does
                 not end in time.
         """
-        self._paused = False
         job, task, clock = self._job, self._job_task, self._devices.clock
         if job is None or task is None:
             return
+        self._paused = False
         job.manipulator.halt(reason)
         deadline_s = clock.now_s() + self.equipment.parameters.motion.stop_timeout_s
         while not task.done():
@@ -697,9 +712,14 @@ class Unit:
     async def _noted(self, entry: Future[Any]) -> None:
         """Wait for a journal entry; where it fails, the cell aborts."""
         try:
-            await entry
+            await self._written(entry)
         except AlarmError as error:
             self._fail(error)
+
+    async def _written(self, entry: Future[T]) -> T:
+        """Wait for a journal entry while a simulated clock stands still."""
+        with self._devices.clock.working():
+            return await entry
 
     def _touch(self) -> None:
         """Wake up whoever waits for a change."""

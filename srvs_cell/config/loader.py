@@ -121,6 +121,8 @@ class CellConfig:
             data = read_yaml(self.calibration.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
             raise AlarmError(Alarm.CALIBRATION_INVALID, f"{self.calibration}: {_one_line(error)}.") from error
+        if not isinstance(data, dict):
+            raise AlarmError(Alarm.CALIBRATION_INVALID, f"{self.calibration}: a mapping of keys is expected.")
         return Calibration.from_mapping(data, str(self.calibration))
 
 

@@ -91,7 +91,7 @@ class Cell:
 
     @property
     def state(self) -> str:
-        return str(self.unit.snapshot()["state"])
+        return self.unit.state.title
 
     @property
     def alarms(self) -> list[str]:
@@ -172,4 +172,14 @@ async def connected(cell: Cell) -> None:
     """Wait until the unit has reached its devices."""
     version = -1
     while cell.unit.snapshot()["devices"]["gripper"]["lifecycle"] == "disconnected":
+        version = await cell.unit.wait_change(version)
+
+
+async def in_step(cell: Cell, step: str, *, moves_done: int = 0) -> None:
+    """Wait until the arm is moving in a step of a job."""
+    version = -1
+    while True:
+        snapshot = cell.unit.snapshot()
+        if snapshot["step"] == step and snapshot["moves_done"] >= moves_done and (await cell.arm.status()).moving:
+            return
         version = await cell.unit.wait_change(version)

@@ -1,0 +1,61 @@
+"""Where the TCP goes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis.strategies import floats, sampled_from
+
+from srvs_cell.cell.motion import Approach, HeldPart, grasp_pose, held_part, tool_rotation_deg, travel_height_mm
+from srvs_cell.config import MotionParameters
+from srvs_cell.geometry import Xyzwpr, fanuc_rotation
+from srvs_cell.planning import CellMove
+from srvs_cell.scene import Grasp
+from tests.cell.support import OBSERVE, seen, three_blocks
+
+from drivers.sim.doubles import World  # isort: skip
+
+ANGLE = floats(-360.0, 360.0)
+
+
+@given(yaw_deg=ANGLE, present_deg=ANGLE, axis=sampled_from(["x", "y"]))
+def test_the_jaws_close_along_the_grasps_yaw(yaw_deg: float, present_deg: float, axis: str) -> None:
+    r_deg = tool_rotation_deg(yaw_deg, axis, present_deg)
+    assert abs(r_deg - present_deg) <= 90.0 + 1e-9
+    rotation = fanuc_rotation(180.0, 0.0, r_deg)
+    jaws = rotation[:, "xy".index(axis)]
+    yaw = np.deg2rad(yaw_deg)
+    assert abs(jaws @ np.array([np.cos(yaw), np.sin(yaw), 0.0])) == pytest.approx(1.0, abs=1e-9)
+    assert rotation[:, 2] == pytest.approx([0.0, 0.0, -1.0])
+
+
+@given(at_z_mm=floats(0.0, 300.0), travel_z_mm=floats(0.0, 500.0), approach_mm=floats(1.0, 200.0))
+def test_an_approach_only_goes_down(at_z_mm: float, travel_z_mm: float, approach_mm: float) -> None:
+    at = Xyzwpr(1.0, 2.0, at_z_mm, 180.0, 0.0, 30.0)
+    way = Approach.of(at, travel_z_mm, approach_mm)
+    assert way.at.z_mm <= way.near.z_mm <= way.above.z_mm
+    assert {(pose.x_mm, pose.y_mm, pose.r_deg) for pose in (way.at, way.near, way.above)} == {(1.0, 2.0, 30.0)}
+
+
+def test_a_part_is_let_go_as_far_from_its_grasp_as_it_was_moved() -> None:
+    motion = MotionParameters(release_gap_mm=1.5)
+    workpiece = seen(World(three_blocks())).workpieces[1]
+    assert workpiece.grasp is not None
+    at = grasp_pose(workpiece.grasp, (10.0, -5.0), motion, OBSERVE)
+    assert (at.x_mm, at.y_mm, at.z_mm) == (310.0, -5.0, 30.0)
+    part = held_part(workpiece, CellMove(1, (310.0, -5.0), (250.0, 100.0)), at, 10.0, motion)
+    assert (part.place.x_mm, part.place.y_mm, part.place.z_mm, part.place.r_deg) == (250.0, 100.0, 31.5, at.r_deg)
+    assert part.hang_mm == 20.0
+    assert HeldPart.from_json(part.as_json()) == part
+
+
+def test_a_held_part_passes_above_the_tallest() -> None:
+    assert travel_height_mm(10.0, 60.0, 30.0) == 100.0
+    assert travel_height_mm(10.0, 60.0, 30.0, hang_mm=40.0) == 140.0
+
+
+def test_the_tool_turns_the_short_way() -> None:
+    grasp = Grasp((0.0, 0.0, 10.0), 0.0, 30.0)
+    turned = Xyzwpr(0.0, 0.0, 0.0, 180.0, 0.0, -80.0)
+    assert grasp_pose(grasp, (0.0, 0.0), MotionParameters(), turned).r_deg == pytest.approx(-90.0)
