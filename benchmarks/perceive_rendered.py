@@ -1,0 +1,223 @@
+"""Perceive the rendered scenes and compare with their exact truth.
+
+    python benchmarks/perceive_rendered.py [DATA] [--levels L0 L1 L2] [--scenes L1/004 ...] [--json] [--pictures DIR]
+
+DATA is the folder of the rendered scenes ($SRVS_DATA/rendered_scenes, or ../shared/data/rendered_scenes beside the
+repository). A workpiece is taken for the object that is nearest in x and y, one to one, within 15 mm. Counted are the
+fully visible objects; `spurious` are workpieces that are taken for no object at all, visible or not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import yaml
+from scipy.optimize import linear_sum_assignment
+
+from srvs_cell.calibration import Calibration
+from srvs_cell.geometry import Transform, Xyzwpr, wrap_angle_deg
+from srvs_cell.vision import StereoView, VisionParameters, perceive
+from srvs_cell.vision.overlay import draw_locations, draw_matches
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from srvs_cell.scene import Perception, Workpiece
+
+MATCH_RADIUS_MM = 15.0
+LEVELS = ("L0", "L1", "L2")
+_SQUARE_RATIO = 1.05
+_FAR = 1e6
+
+
+@dataclass(frozen=True)
+class Found:
+    """One fully visible object, and what was seen of it; None where nothing was."""
+
+    scene: str
+    kind: str
+    seen_kind: str | None
+    error_mm: float | None = None
+    height_error_mm: float | None = None
+    yaw_error_deg: float | None = None
+    offset_mm: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class SceneResult:
+    """One scene: its fully visible objects, and what was seen where nothing is."""
+
+    scene: str
+    objects: tuple[Found, ...]
+    spurious: tuple[str, ...]
+    matched_planes: int
+    milliseconds: float
+
+
+def data_folder() -> Path:
+    """Return where the rendered scenes are expected."""
+    root = os.environ.get("SRVS_DATA") or str(Path(__file__).resolve().parents[2] / "shared" / "data")
+    return Path(root) / "rendered_scenes"
+
+
+def run_scene(folder: Path, parameters: VisionParameters) -> tuple[Perception, dict[str, Any], float]:
+    """Perceive one scene; returns the perception, the truth and the milliseconds it took."""
+    calibration = Calibration.from_mapping(
+        yaml.safe_load((folder / "calibration.yaml").read_text(encoding="utf-8")), str(folder / "calibration.yaml")
+    )
+    poses = json.loads((folder / "poses.json").read_text(encoding="utf-8"))
+    left, right = (Transform.from_xyzwpr("base", "tcp", Xyzwpr(*poses[side])) for side in ("left", "right"))
+    view = StereoView(calibration, left, right, poses["table_z_mm"])
+    images = [
+        np.asarray(cv2.imread(str(folder / f"{side}.png"), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+        for side in ("left", "right")
+    ]
+    since = time.perf_counter()
+    perception = perceive(images[0], images[1], parameters, view=view, stopwatch=time.perf_counter)
+    milliseconds = 1000.0 * (time.perf_counter() - since)
+    return perception, json.loads((folder / "truth.json").read_text(encoding="utf-8")), milliseconds
+
+
+def judge(
+    scene: str, workpieces: Sequence[Workpiece], objects: Sequence[dict[str, Any]]
+) -> tuple[list[Found], list[str]]:
+    """Compare with the truth: the fully visible objects, and the workpieces that are taken for none."""
+    seen = np.array([workpiece.position_mm for workpiece in workpieces]).reshape(-1, 3)
+    true = np.array([one["position_mm"] for one in objects]).reshape(-1, 3)
+    distance = np.linalg.norm(true[:, None, :2] - seen[None, :, :2], axis=2)
+    rows, columns = linear_sum_assignment(np.where(distance <= MATCH_RADIUS_MM, distance, _FAR))
+    partner = {
+        int(row): int(column)
+        for row, column in zip(rows, columns, strict=True)
+        if distance[row, column] <= MATCH_RADIUS_MM
+    }
+    found = []
+    for number, one in enumerate(objects):
+        if one["fully_visible"]:
+            workpiece = workpieces[partner[number]] if number in partner else None
+            found.append(_compare(scene, one, workpiece))
+    taken = set(partner.values())
+    spurious = [
+        f"{scene} {workpiece.kind} {[round(value, 1) for value in workpiece.position_mm]} surfaces {workpiece.surfaces}"
+        for number, workpiece in enumerate(workpieces)
+        if number not in taken
+    ]
+    return found, spurious
+
+
+def _compare(scene: str, one: dict[str, Any], workpiece: Workpiece | None) -> Found:
+    if workpiece is None:
+        return Found(scene, one["kind"], None)
+    offset = np.array(workpiece.position_mm) - np.array(one["position_mm"])
+    length, width = one["size_mm"]
+    yaw_error = None
+    if one["yaw_deg"] is not None and workpiece.yaw_deg is not None and length > _SQUARE_RATIO * width:
+        yaw_error = abs(wrap_angle_deg(workpiece.yaw_deg - one["yaw_deg"], 180.0))
+    return Found(
+        scene,
+        one["kind"],
+        workpiece.kind,
+        float(np.linalg.norm(offset)),
+        abs(workpiece.height_mm - one["height_mm"]),
+        yaw_error,
+        (float(offset[0]), float(offset[1]), float(offset[2])),
+    )
+
+
+def evaluate(folder: Path, scenes: Sequence[str], pictures: Path | None = None) -> list[SceneResult]:
+    """Perceive and judge scenes (names like ``L0/001``); writes overlays where a folder is given."""
+    parameters = VisionParameters()
+    results = []
+    for scene in scenes:
+        perception, truth, milliseconds = run_scene(folder / scene, parameters)
+        found, spurious = judge(scene, perception.workpieces, truth["objects"])
+        results.append(SceneResult(scene, tuple(found), tuple(spurious), len(perception.matches), milliseconds))
+        if pictures is not None:
+            pictures.mkdir(parents=True, exist_ok=True)
+            name = scene.replace("/", "-")
+            cv2.imwrite(str(pictures / f"{name}-matches.png"), draw_matches(perception))
+            true = [tuple(one["position_mm"]) for one in truth["objects"]]
+            cv2.imwrite(str(pictures / f"{name}-locations.png"), draw_locations(perception, true))
+    return results
+
+
+def summary(results: Sequence[SceneResult]) -> dict[str, float | int]:
+    """Return the figures of several scenes together."""
+    objects = [one for result in results for one in result.objects]
+    seen = [one for one in objects if one.error_mm is not None]
+    errors = np.array([one.error_mm for one in seen])
+    heights = np.array([one.height_error_mm for one in seen])
+    yaws = np.array([one.yaw_error_deg for one in seen if one.yaw_error_deg is not None])
+    return {
+        "scenes": len(results),
+        "objects": len(objects),
+        "found": len(seen),
+        "spurious": sum(len(result.spurious) for result in results),
+        "kind_right": sum(one.kind == one.seen_kind for one in seen),
+        "error_mean_mm": _mean(errors),
+        "error_median_mm": float(np.median(errors)) if errors.size else float("nan"),
+        "error_max_mm": float(errors.max(initial=0.0)),
+        "height_error_mean_mm": _mean(heights),
+        "yaw_error_mean_deg": _mean(yaws),
+        "yaw_error_max_deg": float(yaws.max(initial=0.0)),
+        "milliseconds": _mean(np.array([result.milliseconds for result in results])),
+    }
+
+
+def _mean(values: np.ndarray[Any, Any]) -> float:
+    return float(values.mean()) if values.size else float("nan")
+
+
+def main() -> None:
+    """Print one line per scene and per level."""
+    parser = argparse.ArgumentParser(description="Perceive the rendered scenes and compare with their truth.")
+    parser.add_argument("data", nargs="?", type=Path, default=data_folder())
+    parser.add_argument("--levels", nargs="*", default=list(LEVELS))
+    parser.add_argument("--scenes", nargs="*", default=None)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--pictures", type=Path, default=None)
+    parser.add_argument("--worst-mm", type=float, default=0.6, help="list objects that are farther off than this")
+    arguments = parser.parse_args()
+    if not arguments.data.is_dir():
+        sys.exit(f"{arguments.data} is not there: give the folder of the rendered scenes")
+    cv2.setNumThreads(1)
+    scenes = arguments.scenes or [
+        f"{level}/{path.name}" for level in arguments.levels for path in sorted((arguments.data / level).iterdir())
+    ]
+    results = evaluate(arguments.data, scenes, arguments.pictures)
+    if arguments.json:
+        print(json.dumps([asdict(result) for result in results]))
+        return
+    for result in results:
+        for one in result.objects:
+            if one.error_mm is None or one.kind != one.seen_kind or one.error_mm > arguments.worst_mm:
+                place = "missed" if one.offset_mm is None else "off by " + " ".join(f"{d:+.2f}" for d in one.offset_mm)
+                print(f"  {one.scene} {one.kind} seen as {one.seen_kind}: {place}")
+        for line in result.spurious:
+            print(f"  spurious: {line}")
+    names = sorted({result.scene.split("/", maxsplit=1)[0] for result in results})
+    print(
+        f"{'set':<6}{'found':>9}{'spurious':>9}{'kind ok':>8}{'mean mm':>9}{'median':>8}{'max':>8}"
+        f"{'height':>8}{'yaw deg':>8}{'max':>7}{'ms':>7}"
+    )
+    for name in [*names, "all"]:
+        row = summary([result for result in results if name in {"all", result.scene.split("/", maxsplit=1)[0]}])
+        print(
+            f"{name:<6}{row['found']:>5}/{row['objects']:<3}{row['spurious']:>9}{row['kind_right']:>8}"
+            f"{row['error_mean_mm']:>9.3f}{row['error_median_mm']:>8.3f}{row['error_max_mm']:>8.2f}"
+            f"{row['height_error_mean_mm']:>8.3f}{row['yaw_error_mean_deg']:>8.2f}{row['yaw_error_max_deg']:>7.2f}"
+            f"{row['milliseconds']:>7.0f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
