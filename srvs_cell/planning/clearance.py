@@ -50,6 +50,16 @@ class ConflictTable:
     pickable: tuple[bool, ...]
     single: int
 
+    @property
+    def nothing_in_the_way(self) -> bool:
+        """Whether every object may go to every free place whatever the others do."""
+        return (
+            all(self.pickable)
+            and all(map(all, self.standable))
+            and not any(map(any, self.blocked_by))
+            and not any(mask for places in self.grip_blocked_by for grips in places for mask in grips)
+        )
+
     def bit(self, item: int, place: int) -> int:
         """Return the bit of an object at a place."""
         return 1 << (item * self.place_count + place)
@@ -194,10 +204,13 @@ def _hits_obstacle(shape: Footprint, points: Array, obstacle: Obstacle, clearanc
 
 
 def _add_bits(masks: list[int], hit: NDArray[np.bool_], other: int, solid: list[bool]) -> None:
-    """Add the bits of ``other`` at q to the masks of p where ``hit[p, q]``; bins take no part."""
+    """Add the bits of ``other`` at q to the masks of p where ``hit[p, q]``.
+
+    Bins take no part, and two objects never stand on one place: the search looks at free places only.
+    """
     count = len(solid)
     for p, q in np.argwhere(hit):
-        if solid[p] and solid[q]:
+        if p != q and solid[p] and solid[q]:
             masks[p] |= 1 << (other * count + int(q))
 
 

@@ -20,8 +20,8 @@ class SearchLimits:
         int, Field(ge=1, le=10_000_000, description="arrangements that the search for the fewest moves may expand")
     ] = 200_000
     max_travel_moves: Annotated[
-        int, Field(ge=1, le=100_000_000, description="moves that the search for the least travel may look at")
-    ] = 300_000
+        int, Field(ge=1, le=100_000_000, description="moves that the search for the least travel may try")
+    ] = 500_000
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)

@@ -6,14 +6,16 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from srvs_cell.planning.clearance import conflict_table
+from srvs_cell.planning.detours import nested_detours
 from srvs_cell.planning.goals import goal_rule
-from srvs_cell.planning.moves import fewest_moves
+from srvs_cell.planning.moves import after, fewest_moves
 from srvs_cell.planning.parameters import SearchLimits
 from srvs_cell.planning.reasons import infeasible_reasons
 from srvs_cell.planning.travel import distances, least_travel, travel_mm
 from srvs_cell.scene import Move, PlanStatus, RelocationPlan
 
 if TYPE_CHECKING:
+    from srvs_cell.planning.clearance import ConflictTable
     from srvs_cell.planning.goals import GoalRule
     from srvs_cell.planning.moves import Arrangement, Step
     from srvs_cell.planning.problem import Problem
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
 
 GREEDY_WEIGHT = 3.0
 """Weight of the heuristic where the search for the fewest moves has hit its cap: any plan is better than none."""
+
+GREEDY_TRAVEL_WEIGHT = 2.0
+"""The same for the search for the least travel."""
 
 
 def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan:
@@ -59,7 +64,8 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
     search = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_moves)
     if search.steps is None:
         capped = f"the search for the least travel ended at its cap of {limits.max_travel_moves} moves"
-        return _unproven(found.steps, legs, found.bound, search.bound_mm, (capped,))
+        short = _short_plan(start, found.steps, table, rule, legs, limits)
+        return _unproven(short, legs, found.bound, search.bound_mm, (capped,))
     steps = search.steps
     total_mm = travel_mm(steps, legs)
     return RelocationPlan(
@@ -71,6 +77,28 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
         bound_moves=len(steps),
         bound_travel_mm=total_mm,
     )
+
+
+def _short_plan(
+    start: Arrangement,
+    steps: tuple[Step, ...],
+    table: ConflictTable,
+    rule: GoalRule,
+    legs: Distances,
+    limits: SearchLimits,
+) -> tuple[Step, ...]:
+    """Return a plan with as many moves as ``steps`` and shorter travel, where one is found without proof."""
+    target = start
+    for step in steps:
+        target = after(target, step)
+    free = [place for place in range(table.place_count) if place not in start and table.single >> place & 1]
+    if table.nothing_in_the_way and free and set(start) == set(target):
+        other: tuple[Step, ...] | None = nested_detours(start, target, free, legs)
+    else:
+        other = least_travel(
+            start, len(steps), table, rule, legs, limits.max_travel_moves, weight=GREEDY_TRAVEL_WEIGHT
+        ).steps
+    return steps if other is None else min(steps, other, key=lambda plan_steps: travel_mm(plan_steps, legs))
 
 
 def _unproven(

@@ -99,7 +99,6 @@ def least_travel(
     order = count()
     bound_mm = successors.rest_mm(start, HOME)
     queue = [(weight * bound_mm, -next(order), first)]
-    looks = 0
     while queue:
         estimate_mm, _, node = heappop(queue)
         if node in closed:
@@ -107,12 +106,11 @@ def least_travel(
         bound_mm = estimate_mm
         if node.depth == moves:
             return TravelSearch(_way_to(node, came_from), estimate_mm)
-        if looks > max_looks:
+        if successors.looks > max_looks:
             break
         closed.add(node)
         so_far_mm = cost_mm[node]
         for step, successor in successors.of(node.arrangement, node.depth):
-            looks += 1
             _, pick, target = step
             following = _Node(successor, target, node.depth + 1)
             total_mm = so_far_mm + legs.leg_mm(node.hand, pick) + legs.between_mm[pick][target]
@@ -141,7 +139,7 @@ def _way_to(node: _Node, came_from: dict[_Node, tuple[_Node, Step]]) -> tuple[St
 class _Successors:
     """Moves that least-move plans may hold, and the lower bound of the travel that remains.
 
-    Both are asked for once per hand position of an arrangement, and computed once.
+    Both are asked for once per hand position of an arrangement, and computed once; ``looks`` counts the moves tried.
     """
 
     def __init__(self, moves: int, table: ConflictTable, rule: GoalRule, legs: Distances) -> None:
@@ -156,6 +154,7 @@ class _Successors:
         ]
         self._home_mm = legs.home_mm
         self._shortest_home_mm = min(legs.home_mm)
+        self.looks = 0
         self._known: dict[tuple[Arrangement, int], list[tuple[Step, Arrangement]]] = {}
         self._moves_left: dict[Arrangement, int] = {}
         self._rest_mm: dict[Arrangement, float] = {}
@@ -173,6 +172,7 @@ class _Successors:
         left = self._moves - depth - 1
         wrong = len(self._rule.misplaced(arrangement))
         for step in possible_moves(arrangement, self._table):
+            self.looks += 1
             item, origin, target = step
             mask = allowed[item]
             # The number of misplaced objects alone rules most moves out; the closed form costs more.
