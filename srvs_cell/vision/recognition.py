@@ -21,6 +21,7 @@ from srvs_cell.scene import UNKNOWN_KIND, Workpiece
 from srvs_cell.vision.face_fit import EdgeField, FaceFit, fit_face
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
 from srvs_cell.vision.grasping import GraspParameters, plan_grasp
+from srvs_cell.vision.recovery import NO_PLANE, recover_surfaces
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -76,6 +77,9 @@ class RecognitionParameters:
     inclined_gain: Annotated[
         float, Field(gt=0.0, le=1.0, description="an inclined figure must fit better than the level one by this factor")
     ] = 0.7
+    recover: Annotated[
+        bool, Field(description="look for planes without a partner by their grey values (beyond the paper)")
+    ] = True
     grasp: GraspParameters = Field(default_factory=GraspParameters)
 
 
@@ -110,7 +114,18 @@ def recognise(
     """
     limits = parameters or RecognitionParameters()
     fields = (EdgeField.of(left.grey), EdgeField.of(right.grey))
-    candidates = sorted(surfaces, key=_plan_area_mm2, reverse=True)
+    matched = tuple(surfaces)
+    recovered: tuple[Surface, ...] = ()
+    if limits.recover:
+        recovered = recover_surfaces(
+            left,
+            right,
+            {surface.id for surface in matched},
+            rig,
+            (table_z_mm, table_z_mm + limits.max_height_mm),
+            (limits.min_size_mm, limits.max_size_mm),
+        )
+    candidates = sorted((*matched, *recovered), key=_plan_area_mm2, reverse=True)
     fitted = [(surface, _fit_top(surface, fields, rig, table_z_mm, limits)) for surface in candidates]
     tops: list[_Top] = []
     leftover: list[Surface] = []
@@ -128,7 +143,7 @@ def recognise(
         owner = _column(surface.outline_mm, surface.centre_mm[2], tops)
         if owner is not None:
             tops[owner] = replace(tops[owner], surfaces=(*tops[owner].surfaces, surface.id))
-        elif _rises(surface, table_z_mm, limits):
+        elif surface.match.right != NO_PLANE and _rises(surface, table_z_mm, limits):
             unknown.append(surface)
     workpieces = [_workpiece(top, rig, table_z_mm, limits) for top in tops]
     workpieces += [_unknown(surface, table_z_mm) for surface in unknown]
