@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from drivers.sim.modbus_controller import MotionRefusedError
 from drivers.sim.motion import Motion, MotionLimits, joint_path, linear_path
+from drivers.sim.world import pose_matrix, pose_vector
 from drivers.sim.world_model import TIMESTEP_S
 from srvs_cell.geometry import Transform, Xyzwpr
 from srvs_cell.ports import RobotMode
@@ -81,8 +82,9 @@ class SimArm:
         self._time, self._world, self._kinematics = time, world, kinematics
         self._repeatability, self._random = repeatability, random
         self._limits = limits or MotionLimits()
-        self._reported = Transform.from_xyzwpr("base", "tcp", home).matrix
-        joints = kinematics.inverse(self._reported, np.zeros(6))
+        start = Transform.from_xyzwpr("base", "tcp", home).matrix
+        self._reported = pose_vector(start)
+        joints = kinematics.inverse(start, np.zeros(6))
         if joints is None:
             raise ValueError(f"the arm cannot begin at {home}")
         self._joints_deg = joints
@@ -107,7 +109,7 @@ class SimArm:
     def pose(self) -> Xyzwpr:
         """The reported base_T_tcp."""
         with self._time.lock:
-            return Transform("base", "tcp", self._reported).to_xyzwpr()
+            return Transform("base", "tcp", pose_matrix(self._reported)).to_xyzwpr()
 
     @property
     def joints_deg(self) -> tuple[float, ...]:
@@ -120,9 +122,8 @@ class SimArm:
         with self._time.lock:
             self._check_ready()
             goal = Transform.from_xyzwpr("base", "tcp", target).matrix
-            self._begin(
-                Motion(linear_path(self._kinematics, self._limits, self._joints_deg, self._reported, goal, speed_mm_s))
-            )
+            start = pose_matrix(self._reported)
+            self._begin(Motion(linear_path(self._kinematics, self._limits, self._joints_deg, start, goal, speed_mm_s)))
 
     def start_joint(self, target: Xyzwpr, speed_percent: float) -> None:
         """Begin a joint motion; raises `MotionRefusedError` where it cannot be made."""
@@ -225,6 +226,13 @@ class SimArm:
         if not self._error.any():
             return self._reported
         pose = self._reported.copy()
-        pose[:3, 3] += self._error[:3]
-        pose[:3, :3] = Rotation.from_rotvec(np.deg2rad(self._error[3:])).as_matrix() @ pose[:3, :3]
+        pose[:3] += self._error[:3]
+        a, b, c = (math.radians(angle) / 2.0 for angle in self._error[3:].tolist())  # tiny: the sine is the angle
+        w, x, y, z = pose[3:].tolist()
+        pose[3:] = (
+            w - a * x - b * y - c * z,
+            x + a * w + b * z - c * y,
+            y + b * w + c * x - a * z,
+            z + c * w + a * y - b * x,
+        )
         return pose

@@ -6,8 +6,9 @@ acceleration limits that the path demands; override and stop act at any time, on
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -48,7 +49,7 @@ class Path:
     """Samples over the path parameter.
 
     Attributes:
-        poses: base_T_tcp, shape (N, 4, 4), millimetres.
+        poses: base_T_tcp as x, y, z in millimetres and a unit quaternion, w first, shape (N, 7).
         joints_deg: shape (N, 6).
         speed: greatest ds/dt in 1/s.
         acceleration: greatest d2s/dt2 in 1/s^2.
@@ -61,16 +62,24 @@ class Path:
     acceleration: float
     length_mm: float
 
+    @classmethod
+    def through(cls, matrices: Array, joints_deg: Array, speed: float, acceleration: float) -> Self:
+        """Return the path through 4x4 poses of shape (N, 4, 4)."""
+        quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat(scalar_first=True)
+        # neighbours on the same half of the sphere, so that they can be interpolated
+        flips = np.sign(np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1]))
+        quaternions[1:] *= np.cumprod(flips)[:, None]
+        positions = matrices[:, :3, 3]
+        length_mm = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+        return cls(np.hstack([positions, quaternions]), joints_deg, speed, acceleration, length_mm)
+
     def pose(self, s: float) -> Array:
-        """Return base_T_tcp at ``s``: between two samples linear, with the rotation brought back to a rotation."""
+        """Return base_T_tcp at ``s`` as position and unit quaternion, shape (7,)."""
         at = min(max(s, 0.0), 1.0) * (len(self.poses) - 1)
         low = min(int(at), len(self.poses) - 2)
         share = at - low
-        a, b = self.poses[low], self.poses[low + 1]
-        pose = a + share * (b - a)
-        if not np.array_equal(a[:3, :3], b[:3, :3]):
-            u, _, vt = np.linalg.svd(pose[:3, :3])
-            pose[:3, :3] = u @ vt
+        pose = (1.0 - share) * self.poses[low] + share * self.poses[low + 1]
+        pose[3:] /= math.sqrt(float(pose[3:] @ pose[3:]))
         return np.asarray(pose)
 
     def joints(self, s: float) -> Array:
@@ -114,7 +123,7 @@ def linear_path(
     acceleration = min(
         limits.acceleration_mm_s2 / max(length_mm, _STILL_MM), limits.acceleration_deg_s2 / max(angle_deg, _STILL_DEG)
     )
-    return Path(poses, path_joints, speed, acceleration, length_mm)
+    return Path.through(poses, path_joints, speed, acceleration)
 
 
 def joint_path(
@@ -136,8 +145,7 @@ def joint_path(
     way = np.maximum(np.abs(end_deg - joints_deg), _STILL_DEG)
     speed = float((JOINT_SPEEDS_DEG_S * speed_percent / _PERCENT / way).min())
     acceleration = float((JOINT_SPEEDS_DEG_S / limits.joint_acceleration_s / way).min())
-    length_mm = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
-    return Path(poses, path_joints, speed, acceleration, length_mm)
+    return Path.through(poses, path_joints, speed, acceleration)
 
 
 def _check_joints(joints_deg: Array) -> None:
@@ -174,11 +182,9 @@ class Motion:
             return
         limit = self.path.acceleration
         wanted = 0.0 if self.stopped else self.path.speed * override
-        braking = np.sqrt(2.0 * limit * max(1.0 - self.s, 0.0))
-        wanted = min(wanted, float(braking))
-        change = float(np.clip(wanted - self._rate, -limit * seconds, limit * seconds))
-        before = self._rate
-        self._rate = max(before + change, 0.0)
+        wanted = min(wanted, math.sqrt(2.0 * limit * max(1.0 - self.s, 0.0)))
+        before, most = self._rate, limit * seconds
+        self._rate = max(before + min(max(wanted - before, -most), most), 0.0)
         self.s += (before + self._rate) / 2.0 * seconds
         if self.s >= 1.0 - self.path.acceleration * seconds * seconds:
             self.s, self.done, self.stopped = 1.0, True, False

@@ -5,6 +5,7 @@ Not thread-safe by itself: everything is called under the simulation's one lock 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -93,10 +94,10 @@ class World:
         self._hand_qpos = int(self.model.body("hand").jntadr[0])
         self._hand_qpos = int(self.model.jnt_qposadr[self._hand_qpos])
         self._part_dofs = _FREE_DOFS * len(self.parts)
-        self._tcp = np.array(base_T_tcp, dtype=np.float64)
+        self._tcp = pose_vector(base_T_tcp)
         self._closing = False
         self._rest_steps = 0
-        self._place_hand(base_T_tcp)
+        self._place_hand()
         self._command_jaws()
         for _ in range(_FIRST_REST_STEPS):
             mujoco.mj_step(self.model, self._data)
@@ -107,7 +108,7 @@ class World:
     @property
     def base_T_tcp(self) -> Array:
         """True pose of the TCP, 4x4, millimetres."""
-        return self._tcp.copy()
+        return pose_matrix(self._tcp)
 
     @property
     def opening_mm(self) -> float:
@@ -149,10 +150,11 @@ class World:
         held = np.flatnonzero(pressed.min(axis=1) > _HELD_FORCE_N) if len(self.parts) else np.array([], dtype=int)
         return int(held[0]) if len(held) else None
 
-    def lead(self, base_T_tcp: Array) -> None:
-        """Set where the arm has the TCP from now on (4x4, millimetres)."""
-        self._tcp = np.asarray(base_T_tcp)
-        self._set_lead(base_T_tcp)
+    def lead(self, pose: Array) -> None:
+        """Set where the arm has the TCP from now on: position in millimetres and quaternion, shape (7,)."""
+        self._tcp = pose
+        self._data.mocap_pos[0] = pose[:3] * MM
+        self._data.mocap_quat[0] = pose[3:]
         self._rest_steps = 0
 
     def step(self) -> None:
@@ -161,14 +163,15 @@ class World:
         if self._rest_steps > _REST_STEPS:
             return
         mujoco.mj_step(self.model, self._data)
-        if float(np.abs(self._data.qvel).max()) < _REST_SPEED:
+        if abs(self._data.qvel).max() < _REST_SPEED:
             self._rest_steps += 1
         else:
             self._rest_steps = 0
 
     def force_on_hand_n(self) -> float:
         """Force between arm and hand: what the parts and the table do to the tool, the arm's own weight left out."""
-        return float(np.linalg.norm(self._data.efc_force[:3]))
+        x, y, z = self._data.efc_force[:3].tolist()
+        return math.sqrt(x * x + y * y + z * z)
 
     def part_poses(self) -> tuple[PartPose, ...]:
         """Return the true pose of every part."""
@@ -184,33 +187,40 @@ class World:
         """Put a part somewhere else, as a person's hand would."""
         joint = int(self.model.body(self._part_bodies[index]).jntadr[0])
         start = int(self.model.jnt_qposadr[joint])
-        self._data.qpos[start : start + _FREE_QPOS] = _qpos(base_T_part)
+        self._data.qpos[start : start + _FREE_QPOS] = _qpos(pose_vector(base_T_part))
         self._data.qvel[_FREE_DOFS * index : _FREE_DOFS * (index + 1)] = 0.0
         mujoco.mj_forward(self.model, self._data)
         self._rest_steps = 0
 
     def snapshot(self) -> Snapshot:
         """Return where everything is now."""
-        return Snapshot(self.time_s, self._data.qpos.copy(), self._tcp.copy())
+        return Snapshot(self.time_s, self._data.qpos.copy(), pose_matrix(self._tcp))
 
     def _command_jaws(self) -> None:
         self._data.ctrl[:] = 0.0 if self._closing else self.gripper.max_opening_mm * MM / 2.0
         self._rest_steps = 0
 
-    def _place_hand(self, base_T_tcp: Array) -> None:
-        self._set_lead(base_T_tcp)
-        self._data.qpos[self._hand_qpos : self._hand_qpos + _FREE_QPOS] = _qpos(base_T_tcp)
+    def _place_hand(self) -> None:
+        self.lead(self._tcp)
+        self._data.qpos[self._hand_qpos : self._hand_qpos + _FREE_QPOS] = _qpos(self._tcp)
         for address in self._finger_qpos:
             self._data.qpos[address] = self.gripper.max_opening_mm * MM / 2.0
         mujoco.mj_forward(self.model, self._data)
 
-    def _set_lead(self, base_T_tcp: Array) -> None:
-        qpos = _qpos(base_T_tcp)
-        self._data.mocap_pos[0] = qpos[:3]
-        self._data.mocap_quat[0] = qpos[3:]
+
+def pose_vector(matrix: Array) -> Array:
+    """Return position in millimetres and unit quaternion, w first, shape (7,), of a 4x4 pose."""
+    return np.concatenate([matrix[:3, 3], Rotation.from_matrix(matrix[:3, :3]).as_quat(scalar_first=True)])
 
 
-def _qpos(pose: Array) -> Array:
-    """Return MuJoCo's position (metres) and quaternion (w first) of a 4x4 pose in millimetres."""
-    quaternion = Rotation.from_matrix(np.asarray(pose)[:3, :3]).as_quat(scalar_first=True)
-    return np.concatenate([np.asarray(pose)[:3, 3] * MM, quaternion])
+def pose_matrix(vector: Array) -> Array:
+    """Return the 4x4 pose of a `pose_vector`."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = vector[:3]
+    matrix[:3, :3] = Rotation.from_quat(vector[3:], scalar_first=True).as_matrix()
+    return matrix
+
+
+def _qpos(vector: Array) -> Array:
+    """Return a `pose_vector` as MuJoCo has it, in metres."""
+    return np.concatenate([vector[:3] * MM, vector[3:]])

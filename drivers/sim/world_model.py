@@ -41,7 +41,10 @@ def build_model(
     """
     root = ET.Element("mujoco", model="srvs_cell")
     ET.SubElement(root, "compiler", autolimits="true")
-    ET.SubElement(root, "option", timestep=str(TIMESTEP_S), integrator="implicitfast", cone="elliptic", impratio="10")
+    option = ET.SubElement(
+        root, "option", timestep=str(TIMESTEP_S), integrator="implicitfast", cone="elliptic", impratio="10"
+    )
+    ET.SubElement(option, "flag", sleep="enable")  # parts at rest cost nothing until something touches them
     asset = ET.SubElement(root, "asset")
     world = ET.SubElement(root, "worldbody")
     x, y, z = np.multiply(table_centre_mm, MM)
