@@ -161,7 +161,7 @@ class V4l2Capture:
         capture: VideoCapture,
         config: V4l2CameraConfig,
         clock: Clock,
-        monotonic: Callable[[], float] = time.monotonic,
+        monotonic: Callable[[], float],
     ) -> None:
         self._capture, self._config, self._clock, self._monotonic = capture, config, clock, monotonic
         self._sequence = 0
@@ -198,9 +198,12 @@ class V4l2Capture:
 
 
 def open_v4l2(
-    config: V4l2CameraConfig, clock: Clock, opener: Callable[[str, int], VideoCapture] | None = None
+    config: V4l2CameraConfig,
+    clock: Clock,
+    opener: Callable[[str, int], VideoCapture] | None = None,
+    monotonic: Callable[[], float] = time.monotonic,
 ) -> V4l2Capture:
-    """Open the device and apply its settings.
+    """Open the device, by default with OpenCV, and apply its settings.
 
     Raises:
         NotConnectedError: CAMERA_UNAVAILABLE where there is no such device or it cannot be opened.
@@ -222,7 +225,7 @@ def open_v4l2(
     except PortError:
         capture.release()
         raise
-    return V4l2Capture(capture, config, clock)
+    return V4l2Capture(capture, config, clock, monotonic)
 
 
 def _opencv(device: str, backend: int) -> VideoCapture:

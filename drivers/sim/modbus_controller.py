@@ -33,7 +33,7 @@ _STOPPED, _STOPPED_BY_WATCHDOG = 20, 21
 
 _COUNT_TO: Final = 30_000
 _BEAT_S: Final = 0.1
-_SCAN_S: Final = 0.02
+_SCAN_S: Final = 0.05
 _TAKE_S: Final = 0.15  # register write to motion, measured on a controller (references/fanuc.md 1b)
 _PC_SILENT_S: Final = 2.0
 _REACH_UM: Final = 3_000_000

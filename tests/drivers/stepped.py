@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
 import heapq
 import itertools
 import math
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 _QUIET_ROUNDS = 5
+_LOOK_AGAIN_S = 0.002
+"""A thread that ends tells nobody, so it is looked for."""
 
 
 class SteppedTime:
@@ -30,7 +31,7 @@ class SteppedTime:
 
     def __init__(self) -> None:
         self._now_s = 100.0
-        self._wakes: dict[int, float] = {}
+        self._wakes: dict[threading.Thread, float] = {}
         self._holds = 0
         self._released = False
         self._changed = threading.Condition()
@@ -50,7 +51,7 @@ class SteppedTime:
                 self._changed.notify_all()
 
     def sleep(self, seconds: float) -> None:
-        me = threading.get_ident()
+        me = threading.current_thread()
         with self._changed:
             wake_s = self._now_s + seconds
             self._wakes[me] = wake_s
@@ -73,12 +74,13 @@ class SteppedTime:
                 for thread in due:
                     del self._wakes[thread]
                 self._changed.notify_all()
-                self._changed.wait_for(functools.partial(self._settled, due))
+                while not self._settled(due):
+                    self._changed.wait(_LOOK_AGAIN_S)
             self._now_s = max(self._now_s, target_s)
             self._changed.notify_all()
 
-    def _settled(self, threads: list[int]) -> bool:
-        return not self._holds and all(thread in self._wakes for thread in threads)
+    def _settled(self, threads: list[threading.Thread]) -> bool:
+        return not self._holds and all(thread in self._wakes or not thread.is_alive() for thread in threads)
 
 
 class SteppedClock:

@@ -1,0 +1,76 @@
+"""A camera that does not exist: OpenCV's VideoCapture in stepped time, with a queue of old frames."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tests.drivers.stepped import SteppedTime
+
+PERIOD_S = 0.04
+
+
+class ScriptedVideo:
+    """``cv2.VideoCapture`` of a device that exposes a frame every `PERIOD_S` and hands it out ``lag`` frames later.
+
+    Attributes:
+        stuck: property -> the value that it keeps whatever is written.
+        fails: every grab fails at once, as after an unplug.
+        frozen_at_s: every frame carries this stamp.
+        stamp_offset_s: error of the stamps.
+        broken: pictures cannot be decoded.
+    """
+
+    def __init__(self, time: SteppedTime, lag: int = 4, size_px: tuple[int, int] = (64, 48)) -> None:
+        self.opened = True
+        self.released = False
+        self.fails = False
+        self.broken = False
+        self.frozen_at_s: float | None = None
+        self.stamp_offset_s = 0.0
+        self.stuck: dict[int, float] = {}
+        self.retrieved = 0
+        self.grabbed = 0
+        self.size_px = size_px
+        self._time = time
+        self._queue: deque[tuple[int, float]] = deque(maxlen=lag + 1)
+        self._current = (0, 0.0)
+        self._values: dict[int, float] = {}
+
+    def isOpened(self) -> bool:
+        return self.opened
+
+    def grab(self) -> bool:
+        self._time.sleep(PERIOD_S)
+        if self.fails:
+            return False
+        self.grabbed += 1
+        stamp_s = self._time.now_s() if self.frozen_at_s is None else self.frozen_at_s
+        self._queue.append((self.grabbed, stamp_s))
+        self._current = self._queue[0]
+        return True
+
+    def retrieve(self) -> tuple[bool, NDArray[np.uint8] | None]:
+        self.retrieved += 1
+        if self.broken:
+            return False, None
+        width, height = self.size_px
+        return True, np.full((height, width, 3), self._current[0] % 256, np.uint8)
+
+    def set(self, prop: int, value: float, /) -> bool:
+        self._values[prop] = value
+        return True
+
+    def get(self, prop: int, /) -> float:
+        if prop == cv2.CAP_PROP_POS_MSEC:
+            return (self._current[1] + self.stamp_offset_s) * 1000.0
+        return self.stuck.get(prop, self._values.get(prop, -1.0))
+
+    def release(self) -> None:
+        self.released = True
