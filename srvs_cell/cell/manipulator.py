@@ -65,15 +65,16 @@ class Manipulator:
         hand: Hand,
         frames: RobotFrames,
         on_status: Callable[[RobotStatus], None],
+        run: int,
     ) -> None:
         self.hand = hand
-        self.run: int | None = None
         self._parameters = parameters
         self._arm, self._gripper = devices.arm, devices.gripper
         self._clock = devices.clock
         self._journal = journal
         self._frames = frames
         self._on_status = on_status
+        self._run = run
         self._halt_reason = ""
         self._under_way = 0
 
@@ -146,7 +147,7 @@ class Manipulator:
         held = self.hand.held
         if state is GripState.HOLDING or held is None:
             return
-        motion = await self._journal.intend("grip_lost", {"held": held.as_json()}, run=self.run)
+        motion = await self._journal.intend("grip_lost", {"held": held.as_json()}, run=self._run)
         await self._journal.outcome(motion, "lost", {"sensors": state.value}, (GripperKnowledge.EMPTY, None))
         self.hand.knowledge, self.hand.held = GripperKnowledge.EMPTY, None
         raise AlarmError(Alarm.GRIP_LOST, f"Workpiece {held.workpiece} ({held.kind}): the sensors say {state.value}.")
@@ -209,7 +210,7 @@ class Manipulator:
 
     async def _intend(self, kind: str, detail: dict[str, Any]) -> int:
         with self._clock.working():
-            return await self._journal.intend(kind, detail, run=self.run)
+            return await self._journal.intend(kind, detail, run=self._run)
 
     async def _record(self, motion: int, outcome: str, result: dict[str, Any]) -> None:
         with self._clock.working():

@@ -331,7 +331,7 @@ class Unit:
             await work()
         except AlarmError as error:
             return error
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - the last line: whatever happens ends in a named alarm
             _log.exception("a state's work failed", state=self._state.title)
             return AlarmError(Alarm.INTERNAL_ERROR, f"{type(error).__name__}: {error}")
         return None
@@ -401,7 +401,10 @@ class Unit:
 
     async def _execute(self) -> None:
         """Do the job, or its next step in Manual; what it comes to is a command like an operator's."""
-        if not (self._paused and self._job is not None):
+        if self._paused and self._job is not None:
+            # The hold between two single steps has halted the former one for good.
+            self._job.manipulator = self._make_manipulator(self._job.run_number)
+        else:
             await self._begin_job()
         self._paused = False
         job = self._job
@@ -420,19 +423,21 @@ class Unit:
             folder = await asyncio.to_thread(self.equipment.recorder.begin, run)
         self._job = self._make_job(steps, run, folder)
 
-    def _make_job(self, steps: Sequence[Step], run: int, folder: Path) -> Job:
-        manipulator = Manipulator(
+    def _make_manipulator(self, run: int) -> Manipulator:
+        return Manipulator(
             self.equipment.parameters,
             self._devices,
             self._journal,
             self._hand,
             self.equipment.calibration.robot,
             self._keep_status,
+            run,
         )
-        manipulator.run = run
+
+    def _make_job(self, steps: Sequence[Step], run: int, folder: Path) -> Job:
         return Job(
             self.equipment,
-            manipulator,
+            self._make_manipulator(run),
             steps,
             run=run,
             folder=folder,

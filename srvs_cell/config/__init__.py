@@ -15,6 +15,7 @@ from srvs_cell.config.loader import (
     DevicesConfig,
     ServiceConfig,
     config_schema,
+    config_to_mapping,
     load_config,
     parse_config,
 )
@@ -32,6 +33,7 @@ __all__ = [
     "ToleranceParameters",
     "WorkspaceBox",
     "config_schema",
+    "config_to_mapping",
     "installed_drivers",
     "load_config",
     "load_driver",

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import Calibration
@@ -25,7 +25,7 @@ from srvs_cell.planning import PlanningParameters
 from srvs_cell.vision.parameters import VisionParameters
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
 SCHEMA_VERSION = 1
 _UNPRIVILEGED_PORT = 1024
@@ -86,7 +86,7 @@ class DevicesConfig:
     arm: DeviceConfig
     gripper: DeviceConfig
 
-    def __iter__(self) -> Any:
+    def __iter__(self) -> Iterator[DeviceConfig]:
         return iter((self.clock, self.camera, self.arm, self.gripper))
 
 
@@ -169,6 +169,22 @@ def parse_config(text: str, source: str, folder: Path | None = None) -> CellConf
     )
 
 
+def config_to_mapping(config: CellConfig) -> dict[str, Any]:
+    """Return the whole configuration with every default filled in, as plain values that `parse_config` accepts."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "cell": _plain(CellParameters, config.cell),
+        "vision": _plain(VisionParameters, config.vision),
+        "planning": _plain(PlanningParameters, config.planning),
+        "devices": {
+            device.role: {"driver": device.driver, **device.settings.model_dump(mode="json")}
+            for device in config.devices
+        },
+        "calibration": str(config.calibration),
+        "service": config.service.model_dump(mode="json"),
+    }
+
+
 def config_schema() -> dict[str, Any]:
     """Return the JSON Schema of the config, with the keys of every installed driver, for editors."""
     schema = _File.model_json_schema()
@@ -201,6 +217,10 @@ def _driver_schema(role: str, driver: str, definitions: dict[str, Any]) -> dict[
     schema["properties"] = {**name, **schema.get("properties", {})}
     schema["required"] = ["driver", *schema.get("required", [])]
     return schema
+
+
+def _plain(model: Any, value: object) -> Any:
+    return TypeAdapter(model).dump_python(value, mode="json")
 
 
 def _resolve(path: Path, folder: Path | None) -> Path:
