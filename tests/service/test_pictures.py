@@ -29,3 +29,8 @@ def test_moves_are_drawn() -> None:
     part = PlanPart(0, "cuboid", (0.0, 0.0), 10.0, 0.0, (30.0, 30.0))
     arrow = PlanArrow(0, (0.0, 0.0), (200.0, 50.0))
     assert np.count_nonzero((draw_plan([part], [arrow]) == (40, 60, 210)).all(axis=2)) > 200
+
+
+def test_a_very_short_move_can_be_drawn() -> None:
+    part = PlanPart(0, "cuboid", (0.0, 0.0), 10.0, 0.0, (30.0, 30.0))
+    assert draw_plan([part], [PlanArrow(0, (0.0, 0.0), (3.0, 2.0))]).any()
