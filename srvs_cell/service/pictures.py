@@ -136,7 +136,9 @@ def draw_plan(parts: Sequence[PlanPart], arrows: Sequence[PlanArrow]) -> NDArray
             _ARROW,
             2,
             cv2.LINE_AA,
-            tipLength=float(np.clip(_ARROW_HEAD_PX / max(np.linalg.norm(curve[-1] - curve[-2]), 1.0), 0.05, 1.0)),
+            tipLength=float(
+                np.clip(_ARROW_HEAD_PX / max(float(np.linalg.norm(curve[-1] - curve[-2])), 1.0), 0.05, 1.0)
+            ),
         )
         label = curve[len(curve) // 2].astype(int)
         cv2.circle(sheet.image, (int(label[0]), int(label[1])), 11, _ARROW, -1, cv2.LINE_AA)
