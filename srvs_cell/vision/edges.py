@@ -51,7 +51,8 @@ def extract_edges(grey: NDArray[np.uint8], parameters: EdgeParameters) -> EdgeIm
     mask = np.zeros(grey.shape, dtype=np.bool_)
     if rows.size:
         direction_deg = np.rad2deg(np.arctan2(gradient[rows, columns, 1], gradient[rows, columns, 0])) % 360.0
-        kept = supported(rows, columns, direction_deg, grey.shape, parameters)
+        strength = magnitude[rows, columns] / threshold
+        kept = supported(rows, columns, direction_deg, strength, grey.shape, parameters)
         mask[rows[kept], columns[kept]] = True
     return EdgeImage(mask, gradient, threshold)
 
@@ -82,6 +83,7 @@ def supported(
     rows: NDArray[np.intp],
     columns: NDArray[np.intp],
     direction_deg: NDArray[np.float32],
+    strength: NDArray[np.float32],
     shape: tuple[int, ...],
     parameters: EdgeParameters,
 ) -> NDArray[np.bool_]:
@@ -91,6 +93,8 @@ def supported(
         rows: of the strong pixels, shape (N,).
         columns: of the strong pixels, shape (N,).
         direction_deg: gradient direction of each, 0 to 360.
+        strength: gradient of each over that of the weakest strong pixel. The least length is that of the weakest
+            edge; a stronger one, as at the corner of a face, may be shorter in proportion.
         shape: of the image.
         parameters: support and length limits.
     """
@@ -105,8 +109,10 @@ def supported(
     votes_first = lengths[0][regions[0]] >= lengths[1][regions[1]]
     kept = np.zeros(rows.size, dtype=np.bool_)
     for labels, length, votes in ((regions[0], lengths[0], votes_first), (regions[1], lengths[1], ~votes_first)):
-        support = np.bincount(labels, weights=votes) / np.bincount(labels)
-        kept |= ((support >= parameters.min_support) & (length >= parameters.min_length_px))[labels]
+        pixels = np.bincount(labels)
+        support = np.bincount(labels, weights=votes) / pixels
+        evidence = length * np.bincount(labels, weights=strength) / pixels
+        kept |= ((support >= parameters.min_support) & (evidence >= parameters.min_length_px))[labels]
     return kept
 
 

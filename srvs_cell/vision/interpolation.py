@@ -142,7 +142,7 @@ def fit_disparity_plane(
 def robust_plane(
     x: Array, y: Array, disparity: Array, weight: Array, parameters: InterpolationParameters
 ) -> tuple[DisparityPlane, float]:
-    """Fit d = a x + b y + c by iteratively reweighted least squares, slopes held towards 0, as `fit_disparity_plane`."""
+    """Fit d = a x + b y + c by reweighted least squares, slopes held towards 0; returns as `fit_disparity_plane`."""
     middle_x, middle_y = float(np.average(x, weights=weight)), float(np.average(y, weights=weight))
     design = np.column_stack([x - middle_x, y - middle_y, np.ones_like(x)])
     prior = np.diag([(_SAMPLE_SIGMA_PX / _SLOPE_SIGMA) ** 2] * 2 + [0.0])

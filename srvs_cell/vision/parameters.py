@@ -36,10 +36,10 @@ class EdgeParameters:
     ] = 1.0
     min_gradient: Annotated[
         float, Field(gt=0.0, le=100.0, description="least gradient of a strong pixel, grey values per pixel")
-    ] = 0.9
+    ] = 0.6
     max_gradient: Annotated[
         float, Field(gt=0.0, le=255.0, description="what the noise may raise min_gradient to, grey values per pixel")
-    ] = 3.0
+    ] = 4.0
     noise_factor: Annotated[
         float, Field(ge=0.0, le=20.0, description="a strong pixel exceeds the image's median gradient this many times")
     ] = 3.5
@@ -76,12 +76,12 @@ class TrackingParameters:
 class PlaneParameters:
     """Steps 6 and 7, region growing and the limits of a plane."""
 
-    gap_width_px: Annotated[
-        int, Field(ge=0, le=6, description="half the width of a gap in an edge through which no region grows")
-    ] = 2
+    min_open_share: Annotated[
+        float, Field(gt=0.0, le=1.0, description="regions are joined where so much of their border lies on no edge")
+    ] = 0.5
     max_brightness_step: Annotated[
-        float, Field(gt=0.0, le=255.0, description="greatest grey step between neighbours of one region")
-    ] = 12.0
+        float, Field(gt=0.0, le=255.0, description="regions are not joined where their mean brightness differs by more")
+    ] = 25.0
     min_area_px: Annotated[int, Field(ge=1, le=100_000, description="a smaller region is degenerate")] = 30
     min_thickness_px: Annotated[
         float, Field(ge=0.0, le=100.0, description="a region whose 4 area / perimeter is less is degenerate")

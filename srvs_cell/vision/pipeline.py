@@ -20,8 +20,9 @@ from srvs_cell.vision.filtering import filter_edges
 from srvs_cell.vision.interpolation import disparity_at, fill_plane, fill_rows, find_row_ends, fit_disparity_plane
 from srvs_cell.vision.lateral_stereo import surfaces_from_matches
 from srvs_cell.vision.matching import match_planes
-from srvs_cell.vision.planes import grow_regions, measure_planes
+from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.recognition import recognise
+from srvs_cell.vision.region_growing import grow_regions
 from srvs_cell.vision.rectification import rectify_pair, to_grey
 from srvs_cell.vision.thinning import thin
 from srvs_cell.vision.tracking import track_edges

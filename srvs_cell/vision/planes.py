@@ -1,9 +1,4 @@
-"""Steps 6 and 7: region growing between the tracked edges, and the six parameters of each plane.
-
-Growing begins where the edges are far: what a circle of the gap's width can reach is one region, so that a small gap in
-an edge lets nothing through. Then narrower places are added, level by level, and at last the edge pixels themselves are
-shared out among the regions beside them.
-"""
+"""Step 7: the six parameters of each plane: centre, area, perimeter, short cut, long cut, brightness."""
 
 from __future__ import annotations
 
@@ -19,81 +14,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.vision.parameters import PlaneParameters
 
-_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-_MAX_MEETING_STEPS = 12
-"""Regions that meet on a level share the pixels between them, which lie within a few steps."""
-_EDGE_SHARING_STEPS = 3
 _DIAGONAL = float(np.sqrt(2.0))
-
-
-def grow_regions(
-    grey: NDArray[np.uint8],
-    edges: NDArray[np.bool_],
-    parameters: PlaneParameters,
-    valid: NDArray[np.bool_] | None = None,
-) -> NDArray[np.int32]:
-    """Grow regions between edges.
-
-    Args:
-        grey: uint8, shape (H, W).
-        edges: tracked edges, bool, shape (H, W).
-        parameters: gap width and brightness bound.
-        valid: pixels that belong to the image; all where None.
-
-    Returns:
-        Labels, int32, shape (H, W), 1 and up; 0 where the image is not valid or no region came.
-    """
-    usable = np.ones(grey.shape, dtype=np.bool_) if valid is None else valid
-    free = usable & ~edges & ~_untracked_steps(grey, edges, parameters.max_brightness_step)
-    distance = cv2.distanceTransform(free.astype(np.uint8), cv2.DIST_L2, 3)
-    labels = np.zeros(grey.shape, dtype=np.int32)
-    for level in range(parameters.gap_width_px, -1, -1):
-        labels = _grow_level(labels, distance > level)
-    for _ in range(_EDGE_SHARING_STEPS):
-        labels = _share(labels, usable)
-    return labels
-
-
-def _untracked_steps(grey: NDArray[np.uint8], edges: NDArray[np.bool_], max_step: float) -> NDArray[np.bool_]:
-    """Return where the brightness steps by more than a region may and no edge was tracked."""
-    image = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.0)
-    step = np.zeros(grey.shape, dtype=np.float32)
-    step[:, :-1] = np.abs(np.diff(image, axis=1))
-    step[:-1] = np.maximum(step[:-1], np.abs(np.diff(image, axis=0)))
-    near = cv2.dilate(edges.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    return np.asarray((step > max_step) & ~near)
-
-
-def _grow_level(labels: NDArray[np.int32], reach: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Add what this level reaches: to the one region that a component holds, among several, or as a new region."""
-    count, found = cv2.connectedComponents(reach.astype(np.uint8), connectivity=4)
-    components = np.asarray(found, dtype=np.int32)
-    labelled = labels > 0
-    low = np.full(count, np.iinfo(np.int32).max, dtype=np.int32)
-    high = np.zeros(count, dtype=np.int32)
-    np.minimum.at(low, components[labelled], labels[labelled])
-    np.maximum.at(high, components[labelled], labels[labelled])
-    fresh = high == 0
-    fresh[0] = False
-    label_of = np.where(low == high, low, 0)
-    label_of[fresh] = int(labels.max()) + np.arange(1, np.count_nonzero(fresh) + 1)
-    label_of[0] = 0
-    grown = np.where(labelled, labels, label_of[components]).astype(np.int32)
-    shared = reach & (label_of[components] == 0)
-    if shared.any():
-        for _ in range(_MAX_MEETING_STEPS):
-            before = grown
-            grown = _share(grown, shared)
-            if np.array_equal(before, grown):
-                break
-    return grown
-
-
-def _share(labels: NDArray[np.int32], reach: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the labels after one step of growth into what is in reach and has none."""
-    # OpenCV dilates no int32; float32 holds every label below 2**24 exactly
-    grown = cv2.dilate(labels.astype(np.float32), _CROSS).astype(np.int32)
-    return np.where((labels == 0) & reach, grown, labels).astype(np.int32)
 
 
 def measure_planes(
