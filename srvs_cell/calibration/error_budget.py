@@ -147,7 +147,10 @@ def _units() -> list[str]:
 
 def _intersect(left_centre: Array, left_ray: Array, right_centre: Array, right_ray: Array) -> Array:
     """Return the point of the left ray that is nearest to the right ray."""
-    rays = np.column_stack([left_ray, -right_ray])
-    along, *_ = np.linalg.lstsq(rays, right_centre - left_centre, rcond=None)
-    point: Array = left_centre + along[0] * left_ray
+    between = right_centre - left_centre
+    left_left, left_right, right_right = left_ray @ left_ray, left_ray @ right_ray, right_ray @ right_ray
+    along = (right_right * (left_ray @ between) - left_right * (right_ray @ between)) / (
+        left_left * right_right - left_right**2
+    )
+    point: Array = left_centre + along * left_ray
     return point

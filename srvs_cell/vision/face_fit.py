@@ -18,7 +18,7 @@ from srvs_cell.vision.faces import Figure
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srvs_cell.geometry import Array
+    from srvs_cell.geometry import Array, Transform
     from srvs_cell.vision.faces import Face
     from srvs_cell.vision.rectification import RectifiedRig
 
@@ -40,6 +40,8 @@ _SCHEDULE = ((6.0, 4.0), (6.0, 3.0), (5.0, 2.0), (4.0, 1.5), (3.0, 1.0), (3.0, 0
 _FLAT = 1e-9
 """Curvature of a profile that has no peak, so that the parabola stays defined."""
 _MISSING_PX = 3.0
+_HOPELESS_SHARE = 0.5
+"""Where less of the outline has an edge, the fit is given up."""
 _SUPPORT_PX = 1.0
 _DAMPING = 1e-6
 _STEP_LIMITS = (12.0, 12.0, 12.0, 12.0, 0.3, 12.0, 0.4)
@@ -179,12 +181,13 @@ def fit_face(
         _Seeker(field, min_gradient, texture)
         for field, texture in zip(fields, _textures(face, unit, fields, rig), strict=True)
     )
+    camera_T_base = rig.base_T_camera.inverse()
     for half_width_px, scale_px in _SCHEDULE:
-        now = _linearise(face, outline, seekers, rig, half_width_px, scale_px)
-        if now is None:
+        now = _linearise(face, outline, seekers, rig, camera_T_base, half_width_px, scale_px)
+        if now is None or now.found.mean() < _HOPELESS_SHARE:
             return None
         face = face.with_parameters(face.parameters(inclined=inclined) + now.step)
-    last = _linearise(face, outline, seekers, rig, *_SCHEDULE[-1])
+    last = _linearise(face, outline, seekers, rig, camera_T_base, *_SCHEDULE[-1])
     if last is None:
         return None
     distances = np.where(last.found, np.abs(last.residuals_px), _MISSING_PX)
@@ -204,10 +207,10 @@ def _linearise(
     outline: _Outline,
     seekers: tuple[_Seeker, ...],
     rig: RectifiedRig,
+    camera_T_base: Transform,
     half_width_px: float,
     scale_px: float,
 ) -> _Linearised | None:
-    camera_T_base = rig.base_T_camera.inverse()
     points = camera_T_base.apply(face.place(outline.unit))
     if points[:, 2].min() <= 0.0:
         return None

@@ -18,11 +18,14 @@ import cv2
 import numpy as np
 
 from srvs_cell.geometry import Array, Transform, axis_rotation
-from srvs_cell.scene import Plane, PlaneImage, PlaneMatch, Surface
+from srvs_cell.scene import Surface
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from numpy.typing import NDArray
+
+    from srvs_cell.scene import PlaneImage, PlaneMatch, Point2
     from srvs_cell.vision.rectification import RectifiedRig
 
 PIXEL_SIGMA_PX = 0.3
@@ -110,28 +113,44 @@ def surfaces_from_matches(left: PlaneImage, matches: Iterable[PlaneMatch], rig: 
     planes = {plane.id: plane for plane in left.planes}
     surfaces = []
     for match in matches:
-        surface = _surface(left, planes[match.left], match, rig)
+        plane = planes[match.left]
+        x, y, width, height = plane.box_px
+        border = mask_outline_px(left.labels[y : y + height, x : x + width] == plane.id, (x, y))
+        surface = place_surface(border, plane.centre_px, match, rig)
         if surface is not None:
             surfaces.append(surface)
     return tuple(surfaces)
 
 
-def outline_px(image: PlaneImage, plane: Plane) -> Array:
-    """Return the outer boundary of a plane's region as pixel positions, shape (N, 2), along the pixels' outer edges."""
-    x, y, width, height = plane.box_px
-    mask = (image.labels[y : y + height, x : x + width] == plane.id).astype(np.uint8)
+def mask_outline_px(mask: NDArray[np.bool_], corner_px: tuple[int, int]) -> Array:
+    """Return the outer boundary of a region along its pixels' outer edges, shape (N, 2).
+
+    Args:
+        mask: the region, bool, shape (h, w).
+        corner_px: (x, y) of the mask's first pixel in the image.
+    """
     # doubled, so that the contour's pixel centres come to lie on quarter pixels near the outer edges
-    doubled = np.repeat(np.repeat(mask, 2, axis=0), 2, axis=1)
+    doubled = np.repeat(np.repeat(mask.astype(np.uint8), 2, axis=0), 2, axis=1)
     contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outer = max(contours, key=len).reshape(-1, 2).astype(np.float64)
-    return outer / 2.0 - 0.25 + (x, y)
+    return np.asarray(outer / 2.0 - 0.25 + corner_px, dtype=np.float64)
 
 
-def _surface(left: PlaneImage, plane: Plane, match: PlaneMatch, rig: RectifiedRig) -> Surface | None:
+def place_surface(border_px: Array, centre_px: Point2, match: PlaneMatch, rig: RectifiedRig) -> Surface | None:
+    """Place a region of the left image in the base frame by a disparity plane.
+
+    Args:
+        border_px: its boundary, shape (N, 2).
+        centre_px: its centre.
+        match: the match with the disparity plane.
+        rig: the rectified cameras.
+
+    Returns:
+        The surface, or None where its disparity is not positive all over.
+    """
     a, b, c = match.disparity_plane
-    border = outline_px(left, plane)
-    disparity = border @ (a, b) + c
-    centre = np.array(plane.centre_px)
+    disparity = border_px @ (a, b) + c
+    centre = np.array(centre_px)
     centre_disparity = float(centre @ (a, b) + c)
     if min(float(disparity.min()), centre_disparity) <= 0.0:
         return None
@@ -143,7 +162,7 @@ def _surface(left: PlaneImage, plane: Plane, match: PlaneMatch, rig: RectifiedRi
         id=match.left,
         centre_mm=_point(centre_mm),
         normal=_point(_normal(rig, match)),
-        outline_mm=rig.points_mm(border[:, 0], border[:, 1], disparity),
+        outline_mm=rig.points_mm(border_px[:, 0], border_px[:, 1], disparity),
         covariance_mm2=covariance,
         match=match,
     )

@@ -21,7 +21,7 @@ from srvs_cell.scene import UNKNOWN_KIND, Workpiece
 from srvs_cell.vision.face_fit import EdgeField, FaceFit, fit_face
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
 from srvs_cell.vision.grasping import GraspParameters, plan_grasp
-from srvs_cell.vision.recovery import NO_PLANE, recover_surfaces
+from srvs_cell.vision.recovery import NO_PLANE, Region, find_places, stable_regions, unmatched_planes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from srvs_cell.vision.rectification import RectifiedRig
 
 _HALF_TURN_DEG = 180.0
+_LEAST_SHARE = 0.4
+_SURE_RMS_PX = 0.4
+"""A figure that fits worse waits until the better ones have taken their surfaces."""
 _CERTAIN_RMS_PX = 0.15
 """A figure that fits like this leaves nothing for another one to explain."""
 _RECTANGLE_FILL = 0.89
@@ -90,6 +93,10 @@ class _Top:
     fit: FaceFit
     surfaces: tuple[int, ...]
 
+    def joined(self, surface: Surface) -> _Top:
+        """Return the top with one more surface; a region that is no plane has no number to join."""
+        return self if surface.id == NO_PLANE else replace(self, surfaces=(*self.surfaces, surface.id))
+
 
 def recognise(
     surfaces: Iterable[Surface],
@@ -115,40 +122,65 @@ def recognise(
     limits = parameters or RecognitionParameters()
     fields = (EdgeField.of(left.grey), EdgeField.of(right.grey))
     matched = tuple(surfaces)
-    recovered: tuple[Surface, ...] = ()
-    if limits.recover:
-        recovered = recover_surfaces(
-            left,
-            right,
-            {surface.id for surface in matched},
-            rig,
-            (table_z_mm, table_z_mm + limits.max_height_mm),
-            (limits.min_size_mm, limits.max_size_mm),
-        )
-    candidates = sorted((*matched, *recovered), key=_plan_area_mm2, reverse=True)
-    fitted = [(surface, _fit_top(surface, fields, rig, table_z_mm, limits)) for surface in candidates]
     tops: list[_Top] = []
-    leftover: list[Surface] = []
-    for surface, fit in fitted:
-        if fit is None:
-            leftover.append(surface)
-            continue
-        owner = _owner(surface, fit, tops)
-        if owner is None:
-            tops.append(_Top(fit, (surface.id,)))
-        else:
-            tops[owner] = replace(tops[owner], surfaces=(*tops[owner].surfaces, surface.id))
+    leftover = _add_tops(matched, tops, fields, rig, table_z_mm, limits)
+    if limits.recover:
+        planes = unmatched_planes(left, {surface.id for surface in matched})
+        for regions in (planes, stable_regions(left.grey)):
+            found = find_places(
+                (region for region in regions if not _explained(region, tops, rig)),
+                left.grey,
+                right.grey,
+                rig,
+                (table_z_mm, table_z_mm + limits.max_height_mm),
+                (limits.min_size_mm, limits.max_size_mm),
+            )
+            _add_tops(found, tops, fields, rig, table_z_mm, limits)
     unknown: list[Surface] = []
     for surface in leftover:
-        owner = _column(surface.outline_mm, surface.centre_mm[2], tops)
+        owner = _column(np.array([surface.centre_mm]), surface.centre_mm[2], tops)
         if owner is not None:
-            tops[owner] = replace(tops[owner], surfaces=(*tops[owner].surfaces, surface.id))
-        elif surface.match.right != NO_PLANE and _rises(surface, table_z_mm, limits):
+            tops[owner] = tops[owner].joined(surface)
+        elif _rises(surface, table_z_mm, limits):
             unknown.append(surface)
     workpieces = [_workpiece(top, rig, table_z_mm, limits) for top in tops]
     workpieces += [_unknown(surface, table_z_mm) for surface in unknown]
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
+
+
+def _add_tops(
+    surfaces: Iterable[Surface],
+    tops: list[_Top],
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    table_z_mm: float,
+    limits: RecognitionParameters,
+) -> list[Surface]:
+    """Add the top faces among surfaces to those known, the surest and largest first; returns the other surfaces."""
+    fitted = [(surface, _fit_top(surface, fields, rig, table_z_mm, limits)) for surface in surfaces]
+    found = [(surface, fit) for surface, fit in fitted if fit is not None]
+    found.sort(key=lambda one: (one[1].rms_px > _SURE_RMS_PX, -_face_area_mm2(one[1].face)))
+    for surface, fit in found:
+        owner = _column(fit.face.corners_mm(), min(surface.centre_mm[2], fit.face.z_mm), tops)
+        if owner is None:
+            tops.append(_Top(fit, ()).joined(surface))
+        else:
+            tops[owner] = tops[owner].joined(surface)
+    return [surface for surface, fit in fitted if fit is None]
+
+
+def _face_area_mm2(face: Face) -> float:
+    return face.length_mm * face.width_mm
+
+
+def _explained(region: Region, tops: list[_Top], rig: RectifiedRig) -> bool:
+    """Whether the middle of a region of the left image lies on a known top face."""
+    for top in tops:
+        x, y, _ = rig.project_px(top.fit.face.corners_mm())
+        if cv2.pointPolygonTest(np.column_stack([x, y]).astype(np.float32), region.centre_px, measureDist=False) > 0:
+            return True
+    return False
 
 
 def _plan_area_mm2(surface: Surface) -> float:
@@ -163,7 +195,9 @@ def _fit_top(
     limits: RecognitionParameters,
 ) -> FaceFit | None:
     """Return the best figure of a surface as a top face, or None where it is none."""
-    if not table_z_mm - limits.min_height_mm < surface.centre_mm[2] < table_z_mm + limits.max_height_mm:
+    # the middle of an inclined face that runs out on the table is at half its height
+    least_mm = table_z_mm + _LEAST_SHARE * limits.min_height_mm
+    if not least_mm < surface.centre_mm[2] < table_z_mm + limits.max_height_mm:
         return None
     best: FaceFit | None = None
     for start in _starts(surface, rig):
@@ -172,6 +206,8 @@ def _fit_top(
             best = fit
         if best is not None and best.rms_px < _CERTAIN_RMS_PX:
             return best if _is_top(best, table_z_mm, limits) else None
+    if best is not None and best.face.figure is not Figure.RECTANGLE and best.rms_px < _SURE_RMS_PX:
+        return best if _is_top(best, table_z_mm, limits) else None
     inclined = _inclined(surface, fields, rig, limits)
     if inclined is not None and (best is None or inclined.rms_px < limits.inclined_gain * best.rms_px):
         best = inclined
@@ -268,11 +304,6 @@ def _is_top(fit: FaceFit, table_z_mm: float, limits: RecognitionParameters) -> b
 
 def _height_mm(face: Face, table_z_mm: float) -> float:
     return face.highest_mm - table_z_mm
-
-
-def _owner(surface: Surface, fit: FaceFit, tops: list[_Top]) -> int | None:
-    """Return the top face that a fitted surface repeats or lies in."""
-    return _column(fit.face.corners_mm(), min(surface.centre_mm[2], fit.face.z_mm), tops)
 
 
 def _column(outline_mm: Array, z_mm: float, tops: list[_Top]) -> int | None:

@@ -1,30 +1,34 @@
-"""Step 9, beyond the paper: places for planes of the left image that found no partner.
+"""Step 9, beyond the paper: faces that have no matched plane.
 
-Texture, print, a sliver of side face or a weak edge can split or merge a plane in one image only; its partner then has
-other parameters and the paper's rule finds none. Such a plane is looked for in the right image by its grey values: the
-region with a band around it is moved along the row, and the disparity of the best correlation gives it a place.
-Recognition verifies it by its edges in both images.
+Texture, print, a sliver of side face or a weak edge can split or merge a plane; its partner then has other parameters,
+or there is no plane at all, and the paper's rule finds nothing. Two more sources of regions help: the planes of the
+left image without a partner, and its maximally stable regions (Matas et al. 2002), which need no closed edge. A region
+is looked for in the right image by its grey values: with a band around it it is moved along the row, and the disparity
+of the best correlation gives it a place. Recognition verifies it by its edges in both images.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from srvs_cell.scene import PlaneMatch
-from srvs_cell.vision.lateral_stereo import surfaces_from_matches
+from srvs_cell.vision.lateral_stereo import mask_outline_px, place_surface
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
+
+    from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
-    from srvs_cell.scene import Plane, PlaneImage, Surface
+    from srvs_cell.scene import PlaneImage, Surface
     from srvs_cell.vision.rectification import RectifiedRig
 
 NO_PLANE = 0
-"""``PlaneMatch.right`` of a plane found again by its grey values: no plane of the right image is its partner."""
+"""``PlaneMatch.left`` or ``right`` where a face was found without a plane of that image."""
 _BAND_PX = 3
 _MAX_PIXELS = 1500
 _MIN_CORRELATION = 0.7
@@ -32,22 +36,96 @@ _MIN_VARIANCE = 1e-6
 _MARGIN_PX = 3.0
 _SIGMA_PX = 0.5
 _UP = np.array([0.0, 0.0, 1.0])
+_SMOOTHING_PX = 1.5
+_BLACK = 4.0
+"""Grey value below which contrast is noise: keeps the logarithm from blowing it up."""
+_WHITE = 255.0
+_MIN_SPAN = 1e-3
+_STABLE_STEP = 2
+_STABLE_VARIATION = 0.3
+_STABLE_DIVERSITY = 0.15
+_MIN_AREA_PX = 150
+_MIN_SOLIDITY = 0.88
+_SAME_OVERLAP = 0.85
 
 
-def recover_surfaces(
-    left: PlaneImage,
-    right: PlaneImage,
-    matched: Collection[int],
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Pixels of the left image that may be a face.
+
+    Attributes:
+        plane: id of the plane that it is; `NO_PLANE` for none.
+        mask: bool, shape (h, w).
+        corner_px: (x, y) of the mask's first pixel.
+    """
+
+    plane: int
+    mask: NDArray[np.bool_]
+    corner_px: tuple[int, int]
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """Mean pixel position."""
+        rows, columns = np.nonzero(self.mask)
+        return float(columns.mean()) + self.corner_px[0], float(rows.mean()) + self.corner_px[1]
+
+
+def unmatched_planes(left: PlaneImage, matched: Collection[int]) -> list[Region]:
+    """Return the planes of the left image without a partner."""
+    regions = []
+    for plane in left.planes:
+        if plane.id not in matched:
+            x, y, width, height = plane.box_px
+            regions.append(Region(plane.id, left.labels[y : y + height, x : x + width] == plane.id, (x, y)))
+    return regions
+
+
+def stable_regions(grey: NDArray[np.uint8]) -> list[Region]:
+    """Return maximally stable regions that are solid enough for a face, large before small, each kind once.
+
+    They are taken from the logarithm of the grey values: a dark face on a dark table has the same contrast then as a
+    bright one on a bright table.
+    """
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_PX)
+    levels = np.log(smooth + _BLACK)
+    span = max(float(np.ptp(levels)), _MIN_SPAN)
+    scaled = np.rint((levels - levels.min()) * (_WHITE / span)).astype(np.uint8)
+    detector = cv2.MSER.create(
+        delta=_STABLE_STEP,
+        min_area=_MIN_AREA_PX,
+        max_area=grey.size // 4,
+        max_variation=_STABLE_VARIATION,
+        min_diversity=_STABLE_DIVERSITY,
+    )
+    pixels, boxes = detector.detectRegions(scaled)
+    points_of = [np.asarray(points, dtype=np.int32) for points in pixels]
+    regions: list[Region] = []
+    for points, (x, y, width, height) in sorted(zip(points_of, boxes, strict=True), key=lambda one: -len(one[0])):
+        hull_area = cv2.contourArea(cv2.convexHull(points)) + 0.5 * cv2.arcLength(cv2.convexHull(points), closed=True)
+        if len(points) < _MIN_SOLIDITY * hull_area:
+            continue
+        mask = np.zeros((height, width), dtype=np.bool_)
+        mask[points[:, 1] - y, points[:, 0] - x] = True
+        region = Region(NO_PLANE, mask, (int(x), int(y)))
+        if not any(_same(region, other) for other in regions):
+            regions.append(region)
+    return regions
+
+
+def find_places(
+    regions: Iterable[Region],
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
     rig: RectifiedRig,
     height_range_mm: tuple[float, float],
     size_range_mm: tuple[float, float],
 ) -> tuple[Surface, ...]:
-    """Give unmatched planes of the left image a place.
+    """Give regions a place in the base frame by their grey values.
 
     Args:
-        left: planes of the rectified left image.
-        right: the rectified right image; its planes are not used.
-        matched: left planes that have a partner.
+        regions: of the left image.
+        left: rectified left image, uint8, shape (H, W).
+        right: rectified right image.
         rig: the rectified cameras.
         height_range_mm: least and greatest height of a face in the base frame: table and highest part.
         size_range_mm: least and greatest extent of a face.
@@ -55,43 +133,65 @@ def recover_surfaces(
     Returns:
         Surfaces, taken as level; their match has `NO_PLANE` on the right.
     """
-    matches = []
-    grey_left, grey_right = (cv2.GaussianBlur(image.grey.astype(np.float32), (0, 0), 1.0) for image in (left, right))
+    surfaces = []
+    grey_left, grey_right = (
+        np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0), dtype=np.float64) for image in (left, right)
+    )
     low, high = (np.array(rig.plane_disparity(_UP, z_mm)) for z_mm in height_range_mm)
-    for plane in left.planes:
-        if plane.id in matched or not _possible(plane, rig, float(high @ (*plane.centre_px, 1.0)), size_range_mm):
+    for region in regions:
+        centre = region.centre_px
+        least, most = (float(plane @ (*centre, 1.0)) for plane in (low, high))
+        if not _possible(region, rig, most, size_range_mm):
             continue
-        span = (float(low @ (*plane.centre_px, 1.0)) - _MARGIN_PX, float(high @ (*plane.centre_px, 1.0)) + _MARGIN_PX)
-        found = _best_disparity(left, plane, np.asarray(grey_left), np.asarray(grey_right), span)
-        if found is not None:
-            disparity, correlation = found
-            level = _level_plane(rig, plane, disparity)
-            matches.append(PlaneMatch(plane.id, NO_PLANE, correlation, disparity, level, _SIGMA_PX))
-    return surfaces_from_matches(left, matches, rig)
+        found = _best_disparity(region, grey_left, grey_right, (least - _MARGIN_PX, most + _MARGIN_PX))
+        if found is None:
+            continue
+        disparity, correlation = found
+        level = _level_plane(rig, centre, disparity)
+        match = PlaneMatch(region.plane, NO_PLANE, correlation, disparity, level, _SIGMA_PX)
+        surface = place_surface(mask_outline_px(region.mask, region.corner_px), centre, match, rig)
+        if surface is not None:
+            surfaces.append(surface)
+    return tuple(surfaces)
 
 
-def _possible(plane: Plane, rig: RectifiedRig, disparity_px: float, size_range_mm: tuple[float, float]) -> bool:
+def _same(region: Region, other: Region) -> bool:
+    """Whether two regions overlap so much that they are hypotheses of the same face."""
+    (x, y), (other_x, other_y) = region.corner_px, other.corner_px
+    (height, width), (other_height, other_width) = region.mask.shape, other.mask.shape
+    left, right = max(x, other_x), min(x + width, other_x + other_width)
+    top, bottom = max(y, other_y), min(y + height, other_y + other_height)
+    if right <= left or bottom <= top:
+        return False
+    both = (
+        region.mask[top - y : bottom - y, left - x : right - x]
+        & other.mask[top - other_y : bottom - other_y, left - other_x : right - other_x]
+    ).sum()
+    return bool(both > _SAME_OVERLAP * (region.mask.sum() + other.mask.sum() - both))
+
+
+def _possible(region: Region, rig: RectifiedRig, disparity_px: float, size_range_mm: tuple[float, float]) -> bool:
     """Whether a region, at the least distance it may have, is as large as a face."""
     if disparity_px <= 0.0:
         return False
     mm_per_px = rig.baseline_mm / disparity_px
-    _, _, width, height = plane.box_px
     least, most = size_range_mm
-    return max(width, height) * mm_per_px <= most and np.sqrt(plane.area_px) * mm_per_px >= least / 2.0
+    side_px = float(np.sqrt(region.mask.sum()))
+    return max(region.mask.shape) * mm_per_px <= most and side_px * mm_per_px >= least / 2.0
 
 
-def _level_plane(rig: RectifiedRig, plane: Plane, disparity_px: float) -> tuple[float, float, float]:
-    """Return the disparity plane of the level surface that has a disparity at a plane's centre."""
-    x, y = plane.centre_px
+def _level_plane(rig: RectifiedRig, centre_px: tuple[float, float], disparity_px: float) -> tuple[float, float, float]:
+    """Return the disparity plane of the level surface that has a disparity at a centre."""
+    x, y = centre_px
     centre = rig.points_mm(np.array([x]), np.array([y]), np.array([disparity_px]))[0]
     return rig.plane_disparity(_UP, float(centre[2]))
 
 
 def _best_disparity(
-    left: PlaneImage, plane: Plane, grey_left: Array, grey_right: Array, span_px: tuple[float, float]
+    region: Region, grey_left: Array, grey_right: Array, span_px: tuple[float, float]
 ) -> tuple[float, float] | None:
     """Return the disparity at which the region's grey values correlate best, and the correlation."""
-    rows, columns = _pixels(left, plane)
+    rows, columns = _pixels(region, grey_left.shape)
     disparities = np.arange(int(np.floor(span_px[0])), int(np.ceil(span_px[1])) + 1)
     if columns.size == 0 or disparities.size < 3:  # noqa: PLR2004 - a maximum has two neighbours
         return None
@@ -112,13 +212,13 @@ def _best_disparity(
     return float(disparities[best]) + float(np.clip(shift, -0.5, 0.5)), at
 
 
-def _pixels(left: PlaneImage, plane: Plane) -> tuple[np.ndarray[tuple[int], np.dtype[np.intp]], ...]:
+def _pixels(region: Region, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return rows and columns of a region with a band around it, thinned to a bounded number."""
-    x, y, width, height = plane.box_px
-    top, side = max(0, y - _BAND_PX), max(0, x - _BAND_PX)
-    mask = left.labels[top : y + height + _BAND_PX, side : x + width + _BAND_PX] == plane.id
     size = 2 * _BAND_PX + 1
-    grown = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8))
+    grown = cv2.dilate(np.pad(region.mask, _BAND_PX).astype(np.uint8), np.ones((size, size), np.uint8))
     rows, columns = np.nonzero(grown)
     step = max(1, rows.size // _MAX_PIXELS)
-    return rows[::step] + top, columns[::step] + side
+    rows = rows[::step] + region.corner_px[1] - _BAND_PX
+    columns = columns[::step] + region.corner_px[0] - _BAND_PX
+    seen = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+    return rows[seen], columns[seen]
