@@ -13,7 +13,7 @@ from srvs_cell.geometry import Xyzwpr
 from tests.drivers.stepped import PointArm, SteppedClock, SteppedTime
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncIterator, Callable
 
 HOME = Xyzwpr(500.0, 0.0, 400.0, 180.0, 0.0, 0.0)
 TARGET = Xyzwpr(600.0, 0.0, 400.0, 180.0, 0.0, 0.0)
@@ -52,9 +52,11 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def bench(timeout_s: float = PATIENT_S, **settings: float) -> AsyncIterator[Bench]:
+async def bench(
+    timeout_s: float = PATIENT_S, make_point: Callable[[SteppedTime], PointArm] = PointArm, **settings: float
+) -> AsyncIterator[Bench]:
     time = SteppedTime()
-    point = PointArm(time)
+    point = make_point(time)
     controller = ModbusController(point, time)
     port = controller.start()
     clock = SteppedClock(time)

@@ -1,0 +1,93 @@
+"""What every Camera promises, over the V4L2 driver on a scripted device, image files and the object-level double."""
+
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from drivers.camera.image_folder import ImageFolderCamera, ImageFolderConfig
+from drivers.sim.doubles import FakeCamera, StepClock
+from srvs_cell.ports import Camera, Clock, FrameError, Lifecycle
+from tests.drivers.camera.test_v4l2 import bench
+
+
+@dataclass
+class CameraBench:
+    camera: Camera
+    clock: Clock
+
+    async def ready(self) -> None:
+        await self.camera.connect()
+        await self.camera.activate()
+
+
+@contextlib.asynccontextmanager
+async def v4l2(_folder: Path) -> AsyncIterator[CameraBench]:
+    async with bench() as made:
+        yield CameraBench(made.camera, made.clock)
+
+
+@contextlib.asynccontextmanager
+async def image_folder(folder: Path) -> AsyncIterator[CameraBench]:
+    for number in range(3):
+        cv2.imwrite(str(folder / f"{number}.png"), np.full((48, 64), number, np.uint8))
+    clock = StepClock()
+    yield CameraBench(ImageFolderCamera(ImageFolderConfig(folder=folder, repeat=True), clock), clock)
+
+
+@contextlib.asynccontextmanager
+async def fake(_folder: Path) -> AsyncIterator[CameraBench]:
+    clock = StepClock()
+    yield CameraBench(FakeCamera(clock), clock)
+
+
+@pytest.fixture(params=[v4l2, image_folder, fake], ids=lambda make: make.__name__)
+async def b(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[CameraBench]:
+    async with request.param(tmp_path) as made:
+        yield made
+
+
+async def test_its_life(b: CameraBench) -> None:
+    lives = [b.camera.lifecycle]
+    await b.camera.connect()
+    lives.append(b.camera.lifecycle)
+    await b.camera.activate()
+    lives.append(b.camera.lifecycle)
+    assert lives == [Lifecycle.DISCONNECTED, Lifecycle.INACTIVE, Lifecycle.ACTIVE]
+    assert b.camera.description
+
+
+async def test_a_frame_is_exposed_after_the_instant_asked_for(b: CameraBench) -> None:
+    await b.ready()
+    for ahead_s in (0.0, 0.3, 0.0):
+        not_before_s = b.clock.now_s() + ahead_s
+        frame = await b.camera.grab(not_before_s, 2.0)
+        assert not_before_s <= frame.exposed_at_s <= b.clock.now_s()
+        await b.clock.sleep(0.2)
+
+
+async def test_frames_are_counted_and_are_bytes(b: CameraBench) -> None:
+    await b.ready()
+    frames = [await b.camera.grab(b.clock.now_s(), 2.0) for _ in range(3)]
+    assert [frame.sequence for frame in frames] == sorted({frame.sequence for frame in frames})
+    assert {frame.image.dtype for frame in frames} == {np.dtype(np.uint8)}
+    assert {frame.image.shape[:2] for frame in frames} == {(48, 64)}
+
+
+async def test_a_frame_that_is_too_far_away_does_not_come(b: CameraBench) -> None:
+    if isinstance(b.camera, FakeCamera):
+        b.camera.silent = 1
+    await b.ready()
+    begun_s = b.clock.now_s()
+    with pytest.raises(FrameError):
+        await b.camera.grab(begun_s + 5.0, 0.5)
+    assert 0.45 < b.clock.now_s() - begun_s < 1.0
+
+
+async def test_it_can_be_let_go_of_before_it_is_connected(b: CameraBench) -> None:
+    await b.camera.disconnect()
+    assert b.camera.lifecycle is Lifecycle.DISCONNECTED
