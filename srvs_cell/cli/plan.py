@@ -27,19 +27,18 @@ def plan_command(
     import json  # noqa: PLC0415 - the command line starts lazily
 
     from srvs_cell.alarms import Alarm, AlarmError  # noqa: PLC0415 - as above
-    from srvs_cell.planning import plan, plan_to_json, read_problems, validate  # noqa: PLC0415 - as above
-    from srvs_cell.scene import PlanStatus  # noqa: PLC0415 - as above
+    from srvs_cell.planning import has_plan, plan, plan_to_json, read_problems, validate  # noqa: PLC0415 - as above
 
     try:
         data = json.loads(problem_file.read_text(encoding="utf-8"))
     except OSError as error:
         raise AlarmError(Alarm.FILE_INVALID, f"{problem_file}: {error.strerror}.") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise AlarmError(Alarm.PROBLEM_INVALID, f"{problem_file}: not JSON: {error}.") from error
     for problem in read_problems(data, str(problem_file)):
         answer = plan(problem)
-        refusal = validate(problem, answer.moves) if answer.status is not PlanStatus.INFEASIBLE else []
-        if refusal and (answer.moves or answer.status is PlanStatus.SOLVED):
+        refusal = validate(problem, answer.moves) if has_plan(answer) else []
+        if refusal:
             raise AlarmError(Alarm.PLAN_INVALID, f"{problem_file}: {problem.id}: {'; '.join(refusal)}.")
         if as_json:
             typer.echo(json.dumps(plan_to_json(problem, answer)))
@@ -49,10 +48,11 @@ def plan_command(
 
 def _show(problem: Problem, answer: RelocationPlan) -> None:
     """Print a plan for people."""
-    from srvs_cell.scene import PlanStatus  # noqa: PLC0415 - the command line starts lazily
+    from srvs_cell.planning import has_plan  # noqa: PLC0415 - the command line starts lazily
+    from srvs_cell.scene import PlanStatus  # noqa: PLC0415 - as above
 
     headline = f"{problem.id}: {answer.status.value.replace('_', ' ')}"
-    if answer.moves or answer.status is PlanStatus.SOLVED:
+    if has_plan(answer):
         headline += f", {len(answer.moves)} moves, {answer.travel_mm:.1f} mm of travel"
     if answer.status is PlanStatus.NOT_PROVEN:
         headline += f" (at least {answer.bound_moves} moves, {answer.bound_travel_mm:.1f} mm)"

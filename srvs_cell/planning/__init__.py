@@ -2,7 +2,7 @@
 
 from srvs_cell.planning.buffers import Workspace
 from srvs_cell.planning.parameters import FingerGeometry, PlanningParameters, SearchLimits
-from srvs_cell.planning.planner import plan, plan_to_json
+from srvs_cell.planning.planner import has_plan, plan, plan_to_json
 from srvs_cell.planning.problem import (
     AssignGoal,
     Disc,
@@ -40,6 +40,7 @@ __all__ = [
     "TableProblem",
     "Workspace",
     "footprint_centroid_mm",
+    "has_plan",
     "plan",
     "plan_relocation",
     "plan_to_json",

@@ -8,6 +8,7 @@ d lies on the border of A + (-B), so that the signed distance of the point d to 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -116,9 +117,14 @@ def too_close(a: Footprint, b: Footprint, displacement_mm: Array, clearance_mm: 
         inside: NDArray[np.bool_] = np.all(np.abs(displacement_mm) < reach - CONTACT_TOLERANCE_MM, axis=-1)
         return inside
     reach_mm = _radius_mm(a) + _radius_mm(b) + clearance_mm
-    difference = convex_hull((_core(a)[:, None, :] - _core(b)[None, :, :]).reshape(-1, 2))
-    near: NDArray[np.bool_] = signed_distance_mm(displacement_mm, difference) < reach_mm - CONTACT_TOLERANCE_MM
+    near: NDArray[np.bool_] = signed_distance_mm(displacement_mm, _difference(a, b)) < reach_mm - CONTACT_TOLERANCE_MM
     return near
+
+
+@lru_cache(maxsize=1024)
+def _difference(a: Footprint, b: Footprint) -> Array:
+    """Return the polygon A + (-B); kept, because the search for a buffer place asks for the same pairs many times."""
+    return convex_hull((_core(a)[:, None, :] - _core(b)[None, :, :]).reshape(-1, 2))
 
 
 def finger_polygons(grip: FingerGrip) -> tuple[Polygon, Polygon]:

@@ -70,7 +70,7 @@ class MoveSearch:
 
 
 def fewest_moves(
-    start: Arrangement, table: ConflictTable, rule: GoalRule, max_arrangements: int, weight: float = 1.0
+    start: Arrangement, table: ConflictTable, rule: GoalRule, max_moves_search: int, weight: float = 1.0
 ) -> MoveSearch:
     """Search for a plan with the fewest moves.
 
@@ -78,7 +78,7 @@ def fewest_moves(
         start: place per object.
         table: conflicts.
         rule: goal.
-        max_arrangements: give up after this many expanded arrangements.
+        max_moves_search: give up after this many moves were tried.
         weight: 1 proves the fewest moves; above 1 the search is greedier and proves nothing but that there is no plan.
 
     Returns:
@@ -91,6 +91,7 @@ def fewest_moves(
     queue: list[tuple[float, int, Arrangement]] = [(weight * first_bound, 0, start)]
     closed: set[Arrangement] = set()
     bound = first_bound
+    tried = 0
     while queue:
         estimate, minus_moves, arrangement = heapq.heappop(queue)
         if arrangement in closed:
@@ -99,11 +100,12 @@ def fewest_moves(
             bound = max(bound, int(estimate))
         if rule.is_reached(arrangement):
             return MoveSearch(_way_to(arrangement, came_from), weight == 1.0, bound, least)
-        if len(closed) >= max_arrangements:
+        if tried >= max_moves_search:
             return MoveSearch(None, proven=False, bound=bound, explored=least)
         closed.add(arrangement)
         moves = 1 - minus_moves
         for step in possible_moves(arrangement, table):
+            tried += 1
             successor = after(arrangement, step)
             if moves < least.get(successor, moves + 1):
                 least[successor] = moves

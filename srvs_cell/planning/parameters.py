@@ -14,14 +14,14 @@ Coordinate = Annotated[float, Field(ge=-5000.0, le=5000.0)]
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class SearchLimits:
-    """Caps of the search, counted in nodes so that the same problem always gives the same plan."""
+    """Caps of the search, counted in moves tried so that the same problem always gives the same plan."""
 
-    max_arrangements: Annotated[
-        int, Field(ge=1, le=10_000_000, description="arrangements that the search for the fewest moves may expand")
-    ] = 200_000
-    max_travel_moves: Annotated[
+    max_moves_search: Annotated[
+        int, Field(ge=1, le=100_000_000, description="moves that the search for the fewest moves may try")
+    ] = 1_000_000
+    max_travel_search: Annotated[
         int, Field(ge=1, le=100_000_000, description="moves that the search for the least travel may try")
-    ] = 500_000
+    ] = 300_000
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -67,4 +67,5 @@ class PlanningParameters:
         0.0,
     )
     fingers: FingerGeometry = Field(default_factory=FingerGeometry)
-    limits: SearchLimits = Field(default_factory=SearchLimits)
+    # A cell that waits for a proof wastes more time than the shorter travel saves: less patience than the default.
+    limits: SearchLimits = Field(default_factory=lambda: SearchLimits(max_travel_search=100_000))

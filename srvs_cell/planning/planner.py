@@ -43,10 +43,10 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
     table, rule, legs = conflict_table(problem), goal_rule(problem), distances(problem)
     start = tuple(item.start for item in problem.objects)
     bound_mm = _travel_bound_mm(start, rule, legs)
-    found = fewest_moves(start, table, rule, limits.max_arrangements)
+    found = fewest_moves(start, table, rule, limits.max_moves_search)
     if found.steps is None and not found.proven:
-        greedy = fewest_moves(start, table, rule, limits.max_arrangements, GREEDY_WEIGHT)
-        capped = f"the search for the fewest moves ended at its cap of {limits.max_arrangements} arrangements"
+        greedy = fewest_moves(start, table, rule, limits.max_moves_search, GREEDY_WEIGHT)
+        capped = f"the search for the fewest moves ended at its cap of {limits.max_moves_search} moves tried"
         if greedy.steps is None:
             return _unproven((), legs, found.bound, bound_mm, (f"no plan found: {capped}",))
         return _unproven(greedy.steps, legs, found.bound, bound_mm, (capped,))
@@ -61,9 +61,9 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
             bound_travel_mm=bound_mm,
             reasons=infeasible_reasons(problem, table, rule, found.explored),
         )
-    search = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_moves)
+    search = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_search)
     if search.steps is None:
-        capped = f"the search for the least travel ended at its cap of {limits.max_travel_moves} moves"
+        capped = f"the search for the least travel ended at its cap of {limits.max_travel_search} moves tried"
         short = _short_plan(start, found.steps, table, rule, legs, limits)
         return _unproven(short, legs, found.bound, search.bound_mm, (capped,))
     steps = search.steps
@@ -96,7 +96,7 @@ def _short_plan(
         other: tuple[Step, ...] | None = nested_detours(start, target, free, legs)
     else:
         other = least_travel(
-            start, len(steps), table, rule, legs, limits.max_travel_moves, weight=GREEDY_TRAVEL_WEIGHT
+            start, len(steps), table, rule, legs, limits.max_travel_search, weight=GREEDY_TRAVEL_WEIGHT
         ).steps
     return steps if other is None else min(steps, other, key=lambda plan_steps: travel_mm(plan_steps, legs))
 
@@ -131,18 +131,24 @@ def _travel_bound_mm(start: Arrangement, rule: GoalRule, legs: Distances) -> flo
     return math.fsum((loaded_mm, first_mm, last_mm))
 
 
+def has_plan(answer: RelocationPlan) -> bool:
+    """Tell whether an answer holds a plan; a solved problem may need no move at all."""
+    return answer.status is PlanStatus.SOLVED or bool(answer.moves)
+
+
 def plan_to_json(problem: Problem, answer: RelocationPlan) -> dict[str, Any]:
     """Return the plan as design.md section 9 writes it; ``moves`` and ``travel_mm`` are null without a plan."""
-    has_plan = answer.status is PlanStatus.SOLVED or bool(answer.moves)
+    planned = has_plan(answer)
+    bounded = answer.status is not PlanStatus.INFEASIBLE
     return {
         "id": problem.id,
         "status": answer.status.value,
-        "moves": len(answer.moves) if has_plan else None,
-        "travel_mm": round(answer.travel_mm, 6) if has_plan else None,
+        "moves": len(answer.moves) if planned else None,
+        "travel_mm": round(answer.travel_mm, 6) if planned else None,
         "moves_proven": answer.moves_proven,
         "travel_proven": answer.travel_proven,
-        "bound_moves": answer.bound_moves if answer.status is not PlanStatus.INFEASIBLE else None,
-        "bound_travel_mm": round(answer.bound_travel_mm, 6) if answer.status is not PlanStatus.INFEASIBLE else None,
+        "bound_moves": answer.bound_moves if bounded else None,
+        "bound_travel_mm": round(answer.bound_travel_mm, 6) if bounded else None,
         "plan": [[move.object, move.from_place, move.to_place] for move in answer.moves],
         "reasons": list(answer.reasons),
     }

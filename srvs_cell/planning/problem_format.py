@@ -18,9 +18,12 @@ SCHEMA = "planning-problem/1"
 
 _LONGEST_INPUT_SHOWN = 60
 
-Length = Annotated[float, Field(allow_inf_nan=False, ge=0.0)]
-Coordinate = Annotated[float, Field(allow_inf_nan=False)]
-Half = Annotated[float, Field(allow_inf_nan=False, gt=0.0)]
+_FARTHEST_MM = 1e6
+"""One kilometre: no cell is larger, and sums of squares stay exact enough."""
+
+Length = Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=_FARTHEST_MM)]
+Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-_FARTHEST_MM, le=_FARTHEST_MM)]
+Half = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=_FARTHEST_MM)]
 Index = Annotated[int, Field(ge=0)]
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.planning.planner import plan
+from srvs_cell.planning.planner import has_plan, plan
 from srvs_cell.planning.table import TableProblem, table_problem
 from srvs_cell.planning.validator import validate
 from srvs_cell.scene import PlaceKind, PlanStatus, Point2, RelocationPlan
@@ -95,8 +95,8 @@ def plan_relocation(workpieces: Sequence[Workpiece], parameters: PlanningParamet
 
 def _cell_plan(table: TableProblem, answer: RelocationPlan) -> CellPlan:
     problem = table.problem
-    has_plan = answer.status is PlanStatus.SOLVED or bool(answer.moves)
-    refusal = validate(problem, answer.moves) if has_plan else []
+    planned = has_plan(answer)
+    refusal = validate(problem, answer.moves) if planned else []
     if refusal:
         raise AlarmError(Alarm.PLAN_INVALID, f"{'; '.join(refusal)}.")
     points = [(place.x_mm, place.y_mm) for place in problem.places]
@@ -109,6 +109,6 @@ def _cell_plan(table: TableProblem, answer: RelocationPlan) -> CellPlan:
             CellMove(table.workpieces[move.object], points[move.from_place], points[move.to_place])
             for move in answer.moves
         ),
-        goals=tuple(CellGoal(table.workpieces[i], points[end]) for i, end in ends.items()) if has_plan else (),
+        goals=tuple(CellGoal(table.workpieces[i], points[end]) for i, end in ends.items()) if planned else (),
         buffers_mm=tuple(points[place.id] for place in problem.places if place.kind is PlaceKind.BUFFER),
     )

@@ -48,7 +48,7 @@ def test_nothing_to_do_is_no_walk() -> None:
 
 def test_many_objects_get_a_valid_plan_whose_moves_are_proven() -> None:
     problem = scattered(30, 5)
-    answer = plan(problem, SearchLimits(max_travel_moves=2000))
+    answer = plan(problem, SearchLimits(max_travel_search=2000))
     assert answer.status is PlanStatus.NOT_PROVEN
     assert answer.moves_proven
     assert validate(problem, answer.moves) == []
@@ -61,6 +61,6 @@ def test_where_something_is_in_the_way_a_capped_search_still_gives_a_valid_plan(
     places = list(base.places)
     places[6] = Place(6, places[0].x_mm + 15.0, places[0].y_mm, PlaceKind.BUFFER)
     problem = dataclasses.replace(base, places=tuple(places))
-    answer = plan(problem, SearchLimits(max_travel_moves=20))
+    answer = plan(problem, SearchLimits(max_travel_search=20))
     assert answer.status is PlanStatus.NOT_PROVEN
     assert validate(problem, answer.moves) == []

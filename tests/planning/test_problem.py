@@ -50,6 +50,8 @@ def _changed(path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
         (("objects", 1, "id"), 5, "objects[1].id"),
         (("objects", 0, "height_mm"), float("nan"), "objects[0].height_mm"),
         (("places", 0, "x_mm"), "far", "places[0].x_mm"),
+        (("places", 0, "x_mm"), 1e300, "places[0].x_mm"),
+        (("places", 0, "x_mm"), 10**400, "places[0].x_mm"),
         (("places", 1, "kind"), "shelf", "places[1].kind"),
         (("places", 1, "reachable"), KeyError, "places[1].reachable"),
         (("home_mm",), [1.0], "home_mm"),

@@ -164,14 +164,14 @@ def test_a_bin_takes_any_number_and_gives_nothing_back() -> None:
 def test_caps_give_an_honest_answer() -> None:
     problem = line_problem([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
     proven = plan(problem)
-    few_looks = plan(problem, SearchLimits(max_travel_moves=3))
+    few_looks = plan(problem, SearchLimits(max_travel_search=3))
     assert few_looks.status is PlanStatus.NOT_PROVEN
     assert few_looks.moves_proven
     assert not few_looks.travel_proven
     assert len(few_looks.moves) == len(proven.moves)
     assert few_looks.bound_travel_mm <= proven.travel_mm <= few_looks.travel_mm
     assert validate(problem, few_looks.moves) == []
-    nothing = plan(problem, SearchLimits(max_arrangements=1))
+    nothing = plan(problem, SearchLimits(max_moves_search=1))
     assert nothing.status is PlanStatus.NOT_PROVEN
     assert nothing.bound_moves <= len(proven.moves)
     assert nothing.reasons
