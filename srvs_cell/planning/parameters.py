@@ -35,8 +35,12 @@ class FingerGeometry:
         16.0
     )
     clearance_mm: Annotated[
-        float, Field(ge=0.0, le=100.0, description="distance of each open finger from the workpiece")
+        float, Field(ge=0.0, le=100.0, description="distance of each open finger from the workpiece; unless open_mm")
     ] = 8.0
+    open_mm: Annotated[
+        float | None,
+        Field(gt=0.0, le=500.0, description="distance of the fingers of a gripper that always opens as far as it goes"),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)

@@ -136,12 +136,14 @@ def _object(index: int, workpiece: Workpiece, centre_mm: Point2, fingers: Finger
 
 def _grip(grasp: Grasp, centre_mm: Point2, fingers: FingerGeometry) -> FingerGrip:
     """Return the room that the fingers sweep from closed on the workpiece to open."""
+    closed_mm = grasp.opening_mm / 2.0
+    open_mm = closed_mm + fingers.clearance_mm if fingers.open_mm is None else max(fingers.open_mm / 2.0, closed_mm)
     return FingerGrip(
         name=f"yaw {grasp.yaw_deg:.1f} deg",
         centre_mm=(grasp.position_mm[0] - centre_mm[0], grasp.position_mm[1] - centre_mm[1]),
         yaw_deg=grasp.yaw_deg,
-        inner_mm=grasp.opening_mm / 2.0,
-        thick_mm=fingers.clearance_mm + fingers.thickness_mm,
+        inner_mm=closed_mm,
+        thick_mm=open_mm - closed_mm + fingers.thickness_mm,
         width_mm=fingers.width_mm,
     )
 

@@ -190,3 +190,19 @@ def test_the_reference_point_is_the_footprints_centroid() -> None:
 def test_slots_are_ranked_by_y() -> None:
     parts = [workpiece(0, (450, -100), 60), workpiece(1, (450, 100), 20)]
     assert table_problem(parts, PARAMETERS, WORKSPACE).problem.goal == RankGoal((1, 0), 2.0)
+
+
+@pytest.mark.parametrize(
+    ("fingers", "outer_mm"),
+    [
+        (FingerGeometry(thickness_mm=10.0, clearance_mm=8.0), 15.0 + 8.0 + 10.0),
+        (FingerGeometry(thickness_mm=10.0, clearance_mm=8.0, open_mm=84.0), 42.0 + 10.0),
+    ],
+)
+def test_fingers_need_the_room_from_closed_to_open(fingers: FingerGeometry, outer_mm: float) -> None:
+    parameters = PlanningParameters(fingers=fingers)
+    (item,) = table_problem([workpiece(0, (450, 0), 60)], parameters, WORKSPACE).problem.objects
+    (grip,) = item.grips
+    assert grip.inner_mm == 15.0
+    assert grip.inner_mm + grip.thick_mm == outer_mm
+    assert grip.yaw_deg == 90.0
