@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from srvs_cell.ports import PortError
 
-_QUIET_ROUNDS = 30
+_QUIET_ROUNDS = 15
 """Turns of the event loop after which every task is taken to wait for the clock."""
-_MOTION_SLICE_S = 0.05
+_MOTION_SLICE_S = 0.1
 _JOINT_SPEED_MM_S = 1000.0
 _GRIP_TIME_S = 0.3
 _FRAME_TIME_S = 0.033
@@ -239,10 +239,11 @@ class FakeArm(_FakeDevice):
         return await self._move(target, _JOINT_SPEED_MM_S * speed_percent / _FULL_PERCENT)
 
     async def request_stop(self) -> None:
-        """Stop at the next slice of the motion."""
+        """Stop at the next slice of the motion; no motion until the next `activate`."""
         self.check_reachable()
         self.stop_requests += 1
         self._stop = self._moving
+        await self.deactivate()
 
     async def reset_fault(self) -> None:
         """Reset the fault."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from srvs_cell.cell.journal import Journal
     from srvs_cell.cell.manipulator import Manipulator
     from srvs_cell.cell.recorder import RunRecorder
-    from srvs_cell.cell.senses import Perceive, Pictures, PlanJob
+    from srvs_cell.cell.senses import AnalyseLeft, Perceive, Pictures, PlanJob
     from srvs_cell.config import CellParameters
     from srvs_cell.geometry import Transform
     from srvs_cell.planning import CellPlan
@@ -97,6 +97,7 @@ class Equipment:
     perceive: Perceive
     plan: PlanJob
     pictures: Pictures
+    analyse_left: AnalyseLeft | None = None
 
 
 @dataclass
@@ -144,6 +145,7 @@ class Job:
         dry_run: move above the parts without gripping.
         progress: for the snapshot.
         left, right: the images and poses of the present look.
+        early: what was made of the left image while the arm travelled.
         offsets_mm: how far each workpiece has been carried since it was perceived.
         finish: end at the next moment at which the gripper is empty.
     """
@@ -168,6 +170,7 @@ class Job:
         self.progress = Progress()
         self.left: tuple[NDArray[np.uint8], Transform] | None = None
         self.right: tuple[NDArray[np.uint8], Transform] | None = None
+        self.early: Any = None
         self.looks = 0
         self.offsets_mm: dict[int, Point2] = {}
         self.finish = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from srvs_cell.planning import CellPlan
 from srvs_cell.scene import Perception, Workpiece
@@ -23,12 +23,19 @@ class StereoLook:
     Attributes:
         left, right: uint8, shape (H, W) or (H, W, 3).
         base_T_tcp_left, base_T_tcp_right: reported poses.
+        early: what `AnalyseLeft` made of the left image, where there is one.
     """
 
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]
     base_T_tcp_left: Transform  # noqa: N815 - the notation of transforms
     base_T_tcp_right: Transform  # noqa: N815 - the notation of transforms
+    early: Any = None
+
+
+AnalyseLeft = Callable[["NDArray[np.uint8]", "Transform", "Transform"], Any]
+"""(left image, reported left pose, planned right pose) -> what `Perceive` can use. Called in a worker thread while the
+arm travels to the right end; raises `AlarmError` where the image does not allow it."""
 
 
 Perceive = Callable[[StereoLook], Perception]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import plan_right_pose
@@ -23,6 +23,7 @@ from srvs_cell.scene import UNKNOWN_KIND, PlanStatus
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Xyzwpr
@@ -121,7 +122,7 @@ class ObserveLeft:
 
 @dataclass(frozen=True)
 class MoveLaterally:
-    """Move the camera sideways to the right end of the lateral path."""
+    """Move the camera sideways to the right end of the lateral path, and work on the left image meanwhile."""
 
     verifying: bool = False
     name: StepName = StepName.MOVE_LATERALLY
@@ -132,7 +133,12 @@ class MoveLaterally:
         left_end = Transform.from_xyzwpr("base", "tcp", parameters.look.observe_pose.pose())
         right_end = plan_right_pose(job.equipment.calibration, left_end, parameters.look.baseline_mm)
         speed_mm_s = parameters.motion.approach_speed_mm_s
-        pose = await job.manipulator.move_linear(right_end.to_xyzwpr(), speed_mm_s, "right end of the lateral path")
+        early = asyncio.create_task(_analyse_left(job, right_end))
+        try:
+            pose = await job.manipulator.move_linear(right_end.to_xyzwpr(), speed_mm_s, "right end of the lateral path")
+            job.early = await early
+        finally:
+            early.cancel()
         return Outcome({"pose": list(pose.as_tuple())})
 
     def reobserve(self) -> Sequence[Step]:
@@ -169,8 +175,8 @@ class Perceive:
         """Perceive; raises NOTHING_SEEN on an empty table, unless parts are expected there."""
         if job.left is None or job.right is None:
             raise AlarmError(Alarm.INTERNAL_ERROR, "An image of the stereo pair was not taken.")
-        stereo = StereoLook(job.left[0], job.right[0], job.left[1], job.right[1])
-        job.left = job.right = None
+        stereo = StereoLook(job.left[0], job.right[0], job.left[1], job.right[1], job.early)
+        job.left = job.right = job.early = None
         perception = await job.in_thread(lambda: job.equipment.perceive(stereo))
         evidence = await self._record(job, perception)
         job.looks += 1
@@ -336,29 +342,40 @@ class Verify:
 
     async def run(self, job: Job) -> Outcome:
         """Compare; raises VERIFY_FAILED naming each workpiece that is not at its goal."""
-        tolerance_mm = job.equipment.parameters.tolerance.verify_mm
+        tolerance = job.equipment.parameters.tolerance
         if job.progress.plan is None:
             raise AlarmError(Alarm.INTERNAL_ERROR, "There is no plan to verify.")
-        seen = [np.array(footprint_centroid_mm(workpiece.footprint_mm)) for workpiece in job.progress.verified]
-        errors_mm: dict[int, float] = {}
+        heights_mm = {workpiece.id: workpiece.height_mm for workpiece in job.progress.workpieces}
+        errors_mm: dict[int, float | None] = {}
         wrong = []
         for goal in job.progress.plan.goals:
-            distance_mm = min((float(np.linalg.norm(point - goal.point_mm)) for point in seen), default=np.inf)
-            errors_mm[goal.workpiece] = round(distance_mm, 3) if np.isfinite(distance_mm) else -1.0
-            if not distance_mm <= tolerance_mm:
-                where = f"{distance_mm:.1f} mm from its goal" if np.isfinite(distance_mm) else "not seen"
-                x_mm, y_mm = goal.point_mm
+            height_mm, (x_mm, y_mm) = heights_mm[goal.workpiece], goal.point_mm
+            alike = [w for w in job.progress.verified if abs(w.height_mm - height_mm) <= tolerance.verify_height_mm]
+            points = [footprint_centroid_mm(workpiece.footprint_mm) for workpiece in alike]
+            distance_mm = min((math.hypot(x - x_mm, y - y_mm) for x, y in points), default=math.inf)
+            seen = math.isfinite(distance_mm)
+            errors_mm[goal.workpiece] = round(distance_mm, 3) if seen else None
+            if distance_mm > tolerance.verify_mm:
+                where = f"{distance_mm:.1f} mm from its goal" if seen else "not seen"
                 wrong.append(f"workpiece {goal.workpiece} is {where} ({x_mm:.1f}, {y_mm:.1f})")
-        evidence = {"tolerance_mm": tolerance_mm, "errors_mm": {str(i): error for i, error in errors_mm.items()}}
+        evidence = {"tolerance_mm": tolerance.verify_mm, "errors_mm": {str(i): error for i, error in errors_mm.items()}}
         await job.save_json(f"verify_{job.looks - 1}", {**evidence, "wrong": wrong})
         if wrong:
-            raise AlarmError(Alarm.VERIFY_FAILED, f"{'; '.join(wrong)} (allowed {tolerance_mm} mm).")
+            raise AlarmError(Alarm.VERIFY_FAILED, f"{'; '.join(wrong)} (allowed {tolerance.verify_mm} mm).")
         job.progress.workpieces = job.progress.verified
         return Outcome(evidence)
 
     def reobserve(self) -> Sequence[Step]:
         """Look again."""
         return _start_over(verifying=True)
+
+
+async def _analyse_left(job: Job, right_end: Transform) -> object:
+    analyse, left = job.equipment.analyse_left, job.left
+    if analyse is None or left is None:
+        return None
+    image, base_T_tcp_left = left
+    return await job.in_thread(lambda: analyse(image, base_T_tcp_left, right_end))
 
 
 def _travel_z_mm(job: Job, hang_mm: float = 0.0) -> float:

@@ -75,6 +75,21 @@ _FALLBACKS: dict[Recovery, tuple[Command, ...]] = {
 }
 """What a recovery does, and what more severe command stands in where that one is not valid."""
 
+_COMMUNICATION = frozenset(
+    {
+        Alarm.CONNECTION_REFUSED,
+        Alarm.CONNECTION_TIMEOUT,
+        Alarm.CONNECTION_LOST,
+        Alarm.HEARTBEAT_LOST,
+        Alarm.PROTOCOL_ERROR,
+        Alarm.PROTOCOL_VERSION,
+        Alarm.DEVICE_UNAVAILABLE,
+        Alarm.CAMERA_UNAVAILABLE,
+        Alarm.MOTION_OUTCOME_UNKNOWN,
+    }
+)
+"""After one of these, the next clear connects every device afresh."""
+
 _RECOVERY_OF = {
     Reaction.SUSPEND: Recovery.SUSPEND,
     Reaction.HOLD: Recovery.HOLD,
@@ -118,6 +133,7 @@ class Unit:
         self._job_task: Task[JobEnd] | None = None
         self._paused = False
         self._resumes_itself = False
+        self._reconnect = False
         self._runs_done = 0
         self._version = 0
         self._changed = asyncio.Event()
@@ -346,11 +362,14 @@ class Unit:
         failed = []
         for name, device in self._named_devices():
             try:
+                if self._reconnect:
+                    await device.disconnect()
                 await self._reach(device)
             except PortError as error:
                 failed.append((name, error))
         if failed:
             raise AlarmError(failed[0][1].alarm, " ".join(f"{name}: {error.detail}" for name, error in failed))
+        self._reconnect = False
         status = await self._read_status()
         if status.fault is not None:
             await self._devices.arm.reset_fault()
@@ -374,12 +393,16 @@ class Unit:
 
     async def _reset(self) -> None:
         """Make everything ready to move, and know what the gripper holds. Moves nothing."""
-        for _, device in self._named_devices():
-            if device.lifecycle is not Lifecycle.ACTIVE:
-                await device.activate()
+        await self._activate()
         check_robot_ready(await self._read_status(), self.equipment.calibration.robot)
         await self._compare_gripper()
         self._paused = False
+
+    async def _activate(self) -> None:
+        """Allow motion, on an operator's command."""
+        for _, device in self._named_devices():
+            if device.lifecycle is not Lifecycle.ACTIVE:
+                await device.activate()
 
     async def _compare_gripper(self) -> None:
         """Compare what is known of the gripper with what its sensors say."""
@@ -473,7 +496,8 @@ class Unit:
         await self._halt_job("hold")
 
     async def _unhold(self) -> None:
-        """See that the robot may be moved; Execute then looks again and plans anew."""
+        """Make the arm ready again: a stop request has forbidden motion. Execute then looks again and plans anew."""
+        await self._activate()
         check_robot_ready(await self._read_status(), self.equipment.calibration.robot)
 
     async def _finish_job(self) -> None:
@@ -499,6 +523,7 @@ class Unit:
         if self._hand.knowledge is not GripperKnowledge.EMPTY:
             raise AlarmError(Alarm.GRIPPER_OCCUPIED, "The job cannot be completed with a part in the gripper.")
         if self._job is not None:
+            await self._activate()
             former = self._job
             self._job = self._make_job(retreat(), former.run_number, former.folder)
             self._job.progress = former.progress
@@ -695,6 +720,7 @@ class Unit:
 
     def _raise(self, error: AlarmError) -> None:
         """Show an alarm and journal it, once for as long as it is active."""
+        self._reconnect = self._reconnect or error.alarm in _COMMUNICATION
         if self._alarms.add(error.alarm, error.detail) and error.alarm is not Alarm.JOURNAL_FAILED:
             self._note(self._journal.raise_alarm(error.alarm, error.detail, run=self._run))
         self._touch()

@@ -125,6 +125,9 @@ class ToleranceParameters:
     verify_mm: Annotated[
         float, Field(gt=0.0, le=100.0, description="distance from the goal at which a part counts as placed")
     ] = 5.0
+    verify_height_mm: Annotated[
+        float, Field(gt=0.0, le=100.0, description="difference in height at which a part counts as the same one")
+    ] = 8.0
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)

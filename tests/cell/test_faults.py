@@ -104,7 +104,7 @@ async def test_a_robot_that_fails_in_a_move(
         assert await run_to_end(cell) == state
         assert alarm in cell.alarms
         assert len(cell.arm.targets) == move
-        await cell.clock.sleep(30.0)
+        await cell.clock.sleep(10.0)
         assert len(cell.arm.targets) == move
 
 
@@ -150,7 +150,7 @@ async def test_a_robot_that_is_taken_over_by_a_person_stops_the_cell(
         assert alarm in cell.alarms
         commanded = len(cell.arm.targets)
         cell.arm.present = replace(cell.arm.present, mode=RobotMode.AUTO, servo_on=True)
-        await cell.clock.sleep(60.0)
+        await cell.clock.sleep(15.0)
         assert (cell.state, len(cell.arm.targets)) == ("Stopped", commanded)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import settings
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from hypothesis.strategies import sampled_from
 
@@ -173,3 +174,4 @@ class Operator(RuleBasedStateMachine):
 
 
 TestOperator = Operator.TestCase
+TestOperator.settings = settings(max_examples=30, stateful_step_count=40, deadline=None)

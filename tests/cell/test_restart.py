@@ -53,7 +53,7 @@ async def test_an_unfinished_motion_is_resolved_by_a_person_and_never_sent_again
         assert cell.unit.snapshot()["gripper"]["knowledge"] == "unknown"
         refused = await cell.unit.command(Command.CLEAR, "test")
         assert "resolve gripper" in refused.reason
-        await cell.clock.sleep(100.0)
+        await cell.clock.sleep(20.0)
         assert cell.arm.targets == []
         held = cell.world.held is not None
         assert (await cell.unit.resolve_gripper("holding" if held else "empty", "test")).accepted
