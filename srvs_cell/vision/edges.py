@@ -51,7 +51,7 @@ def extract_edges(grey: NDArray[np.uint8], parameters: EdgeParameters) -> EdgeIm
     mask = np.zeros(grey.shape, dtype=np.bool_)
     if rows.size:
         direction_deg = np.rad2deg(np.arctan2(gradient[rows, columns, 1], gradient[rows, columns, 0])) % 360.0
-        strength = magnitude[rows, columns] / threshold
+        strength = np.asarray(magnitude[rows, columns] / threshold, dtype=np.float32)
         kept = supported(rows, columns, direction_deg, strength, grey.shape, parameters)
         mask[rows[kept], columns[kept]] = True
     return EdgeImage(mask, gradient, threshold)

@@ -17,13 +17,15 @@ from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.scene import Perception, PlaneImage, PlaneMatch
 from srvs_cell.vision.edges import extract_edges
 from srvs_cell.vision.filtering import filter_edges
+from srvs_cell.vision.grouping import Grouping, group_surfaces
 from srvs_cell.vision.interpolation import disparity_at, fill_plane, fill_rows, find_row_ends, fit_disparity_plane
 from srvs_cell.vision.lateral_stereo import surfaces_from_matches
 from srvs_cell.vision.matching import match_planes
 from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.recognition import recognise
-from srvs_cell.vision.region_growing import grow_regions
 from srvs_cell.vision.rectification import rectify_pair, to_grey
+from srvs_cell.vision.refinement import refine_matches
+from srvs_cell.vision.region_growing import grow_regions
 from srvs_cell.vision.thinning import thin
 from srvs_cell.vision.tracking import track_edges
 
@@ -161,17 +163,17 @@ def perceive(
     else:
         left_planes = _analyse(left_grey, parameters, valid_left, steps)
     right_planes = _analyse(right_grey, parameters, valid_right, steps)
-    matches, disparity_px = _match(
+    seen, disparity_px = _match(
         left_planes, right_planes, disparity_range, parameters, (valid_left, valid_right), steps
     )
     surfaces: tuple[Surface, ...] = ()
     workpieces: tuple[Workpiece, ...] = ()
     if rig is not None and view is not None:
-        surfaces = surfaces_from_matches(left_planes, matches, rig)
+        surfaces = surfaces_from_matches(seen.left, seen.matches, rig)
         steps.done("depth")
-        workpieces = recognise(surfaces, left_planes, right_planes, rig, view.table_z_mm, parameters.recognition)
+        workpieces = recognise(surfaces, seen.left, seen.right, rig, view.table_z_mm, parameters.recognition)
         steps.done("recognition")
-    return Perception(left_planes, right_planes, matches, disparity_px, surfaces, workpieces, steps.timings_ms)
+    return Perception(seen.left, seen.right, seen.matches, disparity_px, surfaces, workpieces, steps.timings_ms)
 
 
 def _checked(image: Image, name: str) -> Image:
@@ -231,27 +233,35 @@ def _match(
     parameters: VisionParameters,
     valid: tuple[Mask | None, Mask | None],
     steps: _Steps,
-) -> tuple[tuple[PlaneMatch, ...], NDArray[np.float32]]:
-    """Match planes and interpolate; returns the matches and the dense disparity map."""
+) -> tuple[Grouping, NDArray[np.float32]]:
+    """Match planes and interpolate; returns planes and matches, and the dense disparity map."""
     pairs = match_planes(left.planes, right.planes, disparity_range_px, parameters.matching)
     steps.done("matching")
     ends = (
         find_row_ends(left.grey, left.labels, len(left.planes), parameters.interpolation, valid[0]),
         find_row_ends(right.grey, right.labels, len(right.planes), parameters.interpolation, valid[1]),
     )
-    disparity_px = np.full(left.grey.shape, np.nan, dtype=np.float32)
     matches = []
     for pair in pairs:
-        plane_left, plane_right = left.planes[pair.left - 1], right.planes[pair.right - 1]
         fit = fit_disparity_plane(pair.left, pair.right, *ends, parameters.interpolation)
-        if fit is None:
-            continue
-        fitted, sigma = fit
-        at_centre = float(disparity_at(fitted, *plane_left.centre_px))
-        matches.append(PlaneMatch(pair.left, pair.right, pair.score, at_centre, fitted, sigma))
-        if parameters.interpolation.sub_pixel:
-            fill_plane(disparity_px, left.labels, plane_left, fitted)
-        else:
-            fill_rows(disparity_px, left.labels, (plane_left, plane_right), ends)
+        if fit is not None:
+            fitted, sigma = fit
+            at_centre = float(disparity_at(fitted, *left.planes[pair.left - 1].centre_px))
+            matches.append(PlaneMatch(pair.left, pair.right, pair.score, at_centre, fitted, sigma))
     steps.done("interpolation")
-    return tuple(matches), disparity_px
+    if parameters.refinement.enabled:
+        matches = refine_matches(left, right, matches, disparity_range_px, parameters.refinement)
+        steps.done("refinement")
+    grouping = Grouping(left, right, tuple(matches))
+    if parameters.grouping.enabled:
+        grouping = group_surfaces(left, right, matches, parameters, valid)
+        steps.done("grouping")
+    disparity_px = np.full(left.grey.shape, np.nan, dtype=np.float32)
+    for match in grouping.matches:
+        plane = grouping.left.planes[match.left - 1]
+        if parameters.interpolation.sub_pixel:
+            fill_plane(disparity_px, grouping.left.labels, plane, match.disparity_plane)
+        else:
+            fill_rows(disparity_px, left.labels, (plane, right.planes[match.right - 1]), ends)
+    steps.done("interpolation")
+    return grouping, disparity_px

@@ -66,7 +66,8 @@ def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.uint16]:
     number = 0
     for radius_px in _LEVELS_PX:
         reach = distance_px >= radius_px
-        count, components = cv2.connectedComponents(reach.astype(np.uint8), connectivity=4)
+        count, found = cv2.connectedComponents(reach.astype(np.uint8), connectivity=4)
+        components = np.asarray(found, dtype=np.int32)
         grown = labels > 0
         low = np.full(count, _MAX_LABEL, dtype=np.uint16)
         high = np.zeros(count, dtype=np.uint16)

@@ -1,0 +1,203 @@
+"""Step 9, beyond the paper: photometric alignment of a plane.
+
+In a rectified pair the disparity of a flat face is affine, d = a x + b y + c. Gauss-Newton finds the a, b, c, with a
+gain and an offset of the brightness, for which the right image's grey values, shifted by d, are the left image's over
+the face. Its border is included: the edge of a face moves with the face.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from srvs_cell.vision.edges import smooth
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from srvs_cell.geometry import Array
+    from srvs_cell.scene import DisparityPlane, Plane, PlaneImage, PlaneMatch
+    from srvs_cell.vision.parameters import RefinementParameters
+
+_SMOOTHING_PX = 1.0
+_SLOPE_SIGMA = 0.05
+_NOISE_GREY = 1.0
+_TUKEY = 4.685
+_MAD_TO_SIGMA = 1.4826
+_CONVERGED_PX = 0.005
+_MIN_PIXELS = 12
+_CORRELATED_PIXELS = 12.0
+"""Smoothing makes so many neighbouring pixels count as one."""
+_LEAST_SIGMA_PX = 0.02
+_MIN_CONTRAST = 3.0
+"""Standard deviation in grey values below which the noise spoils the correlation."""
+_RANGE_MARGIN_PX = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class GreyPair:
+    """Two smoothed rectified images and the right one's derivative along the rows, each float32, shape (H, W)."""
+
+    left: NDArray[np.float32]
+    right: NDArray[np.float32]
+    right_x: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> GreyPair:
+        """Prepare two grey images, uint8, shape (H, W)."""
+        smoothed = smooth(right, _SMOOTHING_PX)
+        slope = cv2.filter2D(smoothed, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], dtype=np.float32))
+        return cls(smooth(left, _SMOOTHING_PX), smoothed, np.asarray(slope, dtype=np.float32))
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A plane after the alignment.
+
+    Attributes:
+        plane: (a, b, c).
+        sigma_px: standard deviation of the disparity in the middle of the pixels used.
+        correlation: of the left and the aligned right grey values, -1 to 1.
+        contrast: standard deviation of the left grey values: without contrast there is no correlation.
+    """
+
+    plane: DisparityPlane
+    sigma_px: float
+    correlation: float
+    contrast: float
+
+
+def refine_matches(
+    left: PlaneImage,
+    right: PlaneImage,
+    matches: Sequence[PlaneMatch],
+    disparity_range_px: tuple[float, float],
+    parameters: RefinementParameters,
+) -> list[PlaneMatch]:
+    """Align every match; drop those whose grey values disagree or whose disparity is out of range.
+
+    A face without contrast, and one that cannot be aligned, keeps the plane that its borders gave.
+    """
+    pair = GreyPair.of(left.grey, right.grey)
+    low, high = disparity_range_px
+    refined = []
+    for match in matches:
+        plane = left.planes[match.left - 1]
+        rows, columns = _with_band(left, plane, parameters.band_px)
+        alignment = align_plane(pair, rows, columns, match.disparity_plane, parameters)
+        better = match
+        if alignment is not None:
+            if alignment.contrast > _MIN_CONTRAST and alignment.correlation < parameters.min_correlation:
+                continue
+            x, y = plane.centre_px
+            a, b, c = alignment.plane
+            better = replace(
+                match,
+                disparity_px=a * x + b * y + c,
+                disparity_plane=alignment.plane,
+                disparity_sigma_px=alignment.sigma_px,
+            )
+        if low - _RANGE_MARGIN_PX <= better.disparity_px <= high + _RANGE_MARGIN_PX:
+            refined.append(better)
+    return refined
+
+
+def _with_band(image: PlaneImage, plane: Plane, band_px: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows and columns of a plane's pixels and of a band around it."""
+    x, y, width, height = plane.box_px
+    top, left = max(y - band_px, 0), max(x - band_px, 0)
+    window = image.labels[top : y + height + band_px, left : x + width + band_px]
+    mask = (window == plane.id).astype(np.uint8)
+    if band_px:
+        mask = np.asarray(cv2.dilate(mask, np.ones((2 * band_px + 1, 2 * band_px + 1), np.uint8)), dtype=np.uint8)
+    rows, columns = np.nonzero(mask)
+    return rows + top, columns + left
+
+
+def align_plane(
+    pair: GreyPair,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    start: DisparityPlane,
+    parameters: RefinementParameters,
+) -> Alignment | None:
+    """Align a plane over some pixels of the left image.
+
+    Args:
+        pair: the prepared images.
+        rows: of the pixels, shape (N,).
+        columns: of the pixels, shape (N,).
+        start: (a, b, c) to begin with, right to about a pixel.
+        parameters: number of steps, pixels used, greatest shift.
+
+    Returns:
+        The alignment, or None where too few pixels lie in both images or the plane moved too far.
+    """
+    stride = max(1, rows.size // parameters.max_pixels)
+    rows, columns = rows[::stride], columns[::stride]
+    if rows.size < _MIN_PIXELS:
+        return None
+    x, y = columns.astype(np.float64), rows.astype(np.float64)
+    middle_x, middle_y = float(x.mean()), float(y.mean())
+    a, b, c = start
+    design = np.column_stack([x - middle_x, y - middle_y, np.ones_like(x)])
+    solution = np.array([a, b, a * middle_x + b * middle_y + c, 1.0, 0.0])
+    first_level = solution[2]
+    prior = np.diag([(_NOISE_GREY / _SLOPE_SIGMA) ** 2] * 2 + [0.0, 1e-3, 1e-3])
+    target = pair.left[rows, columns].astype(np.float64)
+    variance, normal, scale = 0.0, prior, _NOISE_GREY
+    seen = slope = target
+    for _ in range(parameters.iterations):
+        seen, slope, inside = _sample(pair, rows, x - design @ solution[:3])
+        if np.count_nonzero(inside) < _MIN_PIXELS:
+            return None
+        residual = np.where(inside, target - (solution[3] * seen + solution[4]), 0.0)
+        scale = max(_NOISE_GREY, _MAD_TO_SIGMA * float(np.median(np.abs(residual))))
+        weight = np.where(inside, np.clip(1.0 - (residual / (_TUKEY * scale)) ** 2, 0.0, None) ** 2, 0.0)
+        # d moves the sample against x: the prediction changes by -gain times the slope
+        jacobian = np.column_stack([-solution[3] * slope[:, None] * design, seen, np.ones_like(seen)])
+        weighted = jacobian * weight[:, None]
+        normal = weighted.T @ jacobian + prior
+        step = np.linalg.solve(normal, weighted.T @ residual - prior @ (solution - (0.0, 0.0, 0.0, 1.0, 0.0)))
+        step[:3] *= min(1.0, 1.0 / max(abs(float(step[2])), 1e-9))
+        solution = solution + step
+        variance = float((weight * residual**2).sum() / max(weight.sum(), 1.0))
+        if abs(float(step[2])) < _CONVERGED_PX:
+            break
+    if abs(solution[2] - first_level) > parameters.max_shift_px or not np.isfinite(solution).all():
+        return None
+    sigma = float(np.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * np.linalg.inv(normal)[2, 2]))
+    seen, _, inside = _sample(pair, rows, x - design @ solution[:3])
+    contrast = float(target[inside].std()) if inside.any() else 0.0
+    a, b, level = (float(value) for value in solution[:3])
+    return Alignment(
+        (a, b, level - a * middle_x - b * middle_y),
+        max(sigma, _LEAST_SIGMA_PX),
+        _correlation(target[inside], seen[inside]),
+        contrast,
+    )
+
+
+def _sample(pair: GreyPair, rows: NDArray[np.intp], x: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the right image and its slope at (x, row), linearly interpolated, and which lie in the image."""
+    width = pair.right.shape[1]
+    inside = (x >= 1.0) & (x <= width - 2.0)
+    x = np.clip(x, 1.0, width - 2.001)
+    left = np.floor(x).astype(np.intp)
+    share = x - left
+    value = (1.0 - share) * pair.right[rows, left] + share * pair.right[rows, left + 1]
+    slope = (1.0 - share) * pair.right_x[rows, left] + share * pair.right_x[rows, left + 1]
+    return value, slope, inside
+
+
+def _correlation(one: Array, other: Array) -> float:
+    if one.size < _MIN_PIXELS:
+        return 0.0
+    one, other = one - one.mean(), other - other.mean()
+    norm = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    return float((one * other).sum() / norm) if norm > 0.0 else 0.0
