@@ -18,7 +18,7 @@ def register(app: typer.Typer) -> None:
 
 def sim(
     *,
-    objects: Annotated[int, typer.Option("--objects", min=1, max=20, help="Parts on the table.")] = 5,
+    objects: Annotated[int, typer.Option("--objects", min=1, max=10, help="Parts on the table.")] = 5,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another table, another lens, another robot.")] = 0,
     speed: Annotated[float, typer.Option("--speed", min=0.1, max=1000.0, help="Times faster than life.")] = 1.0,
     imperfections: Annotated[
@@ -27,6 +27,9 @@ def sim(
     modbus_port: Annotated[
         int, typer.Option("--modbus-port", min=0, max=_LAST_PORT, help="Port of the controller; 0: any free one.")
     ] = 0,
+    clock_page: Annotated[
+        Path | None, typer.Option("--clock-page", help="Make the clock page there, for a daemon's devices.clock.path.")
+    ] = None,
     calibration_out: Annotated[
         Path | None, typer.Option("--calibration-out", help="Write the calibration file of this cell there.")
     ] = None,
@@ -34,8 +37,9 @@ def sim(
     """Run the simulated cell on the loopback until Ctrl-C; prints one JSON line: what listens where."""
     arguments = ["--objects", str(objects), "--seed", str(seed), "--speed", str(speed)]
     arguments += ["--imperfections", imperfections, "--modbus-port", str(modbus_port)]
-    if calibration_out is not None:
-        arguments += ["--calibration-out", str(calibration_out)]
+    for option, path in (("--clock-page", clock_page), ("--calibration-out", calibration_out)):
+        if path is not None:
+            arguments += [option, str(path)]
     process, listens = start_simulator(arguments)
     try:
         typer.echo(json.dumps(listens))

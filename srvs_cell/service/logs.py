@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from structlog.typing import Processor
 
-_TALKATIVE = ("uvicorn.access", "pymodbus", "asyncio", "sse_starlette")
+_TALKATIVE = ("uvicorn", "pymodbus", "asyncio", "sse_starlette")
 
 
 def configure_logs(stream: TextIO = sys.stderr, level: int = logging.INFO) -> None:
