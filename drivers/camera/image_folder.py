@@ -34,22 +34,19 @@ _JPEG_END: Final = b"\xff\xd9"
 
 
 class ImageFolderConfig(BaseModel):
-    """The camera's part of the cell's YAML.
-
-    Attributes:
-        folder: where the images are.
-        pattern: which files of it.
-        width, height: pixels that every image must have; not given: as the first image.
-        repeat: whether to begin anew after the last image.
-    """
+    """The camera's part of the cell's YAML."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    folder: Path
-    pattern: str = Field(default="*.png", min_length=1)
-    width: int | None = Field(default=None, ge=1, le=16384)
-    height: int | None = Field(default=None, ge=1, le=16384)
-    repeat: bool = False
+    folder: Path = Field(description="where the images are")
+    pattern: str = Field(default="*.png", min_length=1, description="which files of it")
+    width: int | None = Field(
+        default=None, ge=1, le=16384, description="pixels that every image must have; not given: as the first image"
+    )
+    height: int | None = Field(
+        default=None, ge=1, le=16384, description="pixels that every image must have; not given: as the first image"
+    )
+    repeat: bool = Field(default=False, description="whether to begin anew after the last image")
 
 
 class ImageFolderCamera:

@@ -5,6 +5,9 @@ kernel stamps buffers with CLOCK_MONOTONIC, which is Python's `time.monotonic`. 
 is the frame's age; it is taken off the process's clock. The driver uvcvideo stamps the start of exposure; a driver
 that stamps the end of a frame needs ``exposure_before_stamp_s``.
 
+A frozen device lets OpenCV's grab return after 10 s; the environment variable OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT
+(seconds, read when OpenCV is imported) shortens that. Whoever waits for a frame has a time-out of his own.
+
 Settings are written, read back and compared: a UVC camera accepts values that it then does not use. Automatics are
 switched off first where a value of theirs is given, because an automatic gain takes its value back.
 """
@@ -67,30 +70,37 @@ class VideoCapture(Protocol):
 
 
 class V4l2CameraConfig(BaseModel):
-    """The camera's part of the cell's YAML; what is not given is left as the device has it.
-
-    Attributes:
-        device: path; one of /dev/v4l/by-id/ stays the same when cameras are plugged in another order.
-        width, height: pixels, as in the calibration.
-        fps: frames per second.
-        fourcc: pixel format, such as YUYV or MJPG.
-        exposure_100us: exposure time in 100 microseconds (V4L2_CID_EXPOSURE_ABSOLUTE); switches the automatic off.
-        gain: in the device's units.
-        focus: in the device's units; switches the autofocus off.
-        exposure_before_stamp_s: how long before its time stamp a frame's exposure begins.
-    """
+    """The camera's part of the cell's YAML; what is not given is left as the device has it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    device: Annotated[str, Field(min_length=1, pattern=r"^/dev/")]
-    width: int = Field(default=640, ge=16, le=8192)
-    height: int = Field(default=480, ge=16, le=8192)
-    fps: float | None = Field(default=None, gt=0.0, le=1000.0)
-    fourcc: str | None = Field(default=None, pattern=r"^[A-Z0-9 ]{4}$")
-    exposure_100us: int | None = Field(default=None, ge=1, le=100_000)
-    gain: int | None = Field(default=None, ge=0, le=100_000)
-    focus: int | None = Field(default=None, ge=0, le=100_000)
-    exposure_before_stamp_s: float = Field(default=0.0, ge=0.0, le=2.0)
+    device: Annotated[
+        str,
+        Field(
+            min_length=1,
+            pattern=r"^/dev/",
+            description="path; one of /dev/v4l/by-id/ stays the same when cameras are plugged in another order",
+        ),
+    ]
+    width: int = Field(default=640, ge=16, le=8192, description="pixels, as in the calibration")
+    height: int = Field(default=480, ge=16, le=8192, description="pixels, as in the calibration")
+    fps: float | None = Field(default=None, gt=0.0, le=1000.0, description="frames per second")
+    fourcc: str | None = Field(
+        default=None, pattern=r"^[A-Z0-9 ]{4}$", description="pixel format, such as YUYV or MJPG"
+    )
+    exposure_100us: int | None = Field(
+        default=None,
+        ge=1,
+        le=100_000,
+        description="exposure time in 100 microseconds (V4L2_CID_EXPOSURE_ABSOLUTE); switches the automatic off",
+    )
+    gain: int | None = Field(default=None, ge=0, le=100_000, description="in the device's units")
+    focus: int | None = Field(
+        default=None, ge=0, le=100_000, description="in the device's units; switches the autofocus off"
+    )
+    exposure_before_stamp_s: float = Field(
+        default=0.0, ge=0.0, le=2.0, description="how long before its time stamp a frame's exposure begins"
+    )
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.fanuc import judgement, registers
 from drivers.fanuc.registers import Command, Snapshot, UopOutput
@@ -35,44 +35,61 @@ if TYPE_CHECKING:
 
 
 class FanucModbusConfig(BaseModel):
-    """The robot's part of the cell's YAML.
-
-    Attributes:
-        host: the controller's address or name.
-        port: ``$SNPX_PARAM.$MODBUS_PORT``.
-        unit_id: ``$SNPX_PARAM.$MODBUS_ADR``.
-        timeout_s: real seconds for one request on the wire.
-        poll_s: clock seconds between two readings while a move is under way.
-        heartbeat_s: clock seconds between two heartbeats of this PC; the robot's watchdog allows 2 s.
-        heartbeat_timeout_s: clock seconds after which a robot's heartbeat that does not count is lost.
-        hold_output: DO that ends the move in progress.
-        reset_output: DO that resets the controller's fault and restarts the program.
-        reset_timeout_s: clock seconds that a reset may take.
-        joint_speed_mm_s: what the TCP covers at 100 % of a joint move at the least, for the time a move may take.
-        turn_speed_deg_s: what the wrist turns at the least, likewise.
-        stop_timeout_s: clock seconds at 100 % override that a stop may take to be confirmed.
-        move_grace_s: clock seconds added to the time a move may take.
-        arrival_tolerance_mm, arrival_tolerance_deg: how far a finished move may end from its target.
-    """
+    """The robot's part of the cell's YAML."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    host: str = Field(default="127.0.0.1", min_length=1)
-    port: int = Field(default=502, ge=1, le=65535)
-    unit_id: int = Field(default=1, ge=1, le=247)
-    timeout_s: float = Field(default=1.0, gt=0.0, le=10.0)
-    poll_s: float = Field(default=0.05, ge=0.01, le=1.0)
-    heartbeat_s: float = Field(default=0.25, ge=0.05, le=1.0)
-    heartbeat_timeout_s: float = Field(default=1.5, ge=0.3, le=10.0)
-    hold_output: int = Field(default=3, ge=1, le=4096)
-    reset_output: int = Field(default=4, ge=1, le=4096)
-    reset_timeout_s: float = Field(default=10.0, gt=0.0, le=120.0)
-    joint_speed_mm_s: float = Field(default=300.0, ge=1.0, le=5000.0)
-    turn_speed_deg_s: float = Field(default=45.0, ge=1.0, le=720.0)
-    stop_timeout_s: float = Field(default=3.0, ge=0.2, le=30.0)
-    move_grace_s: float = Field(default=3.0, ge=0.2, le=60.0)
-    arrival_tolerance_mm: float = Field(default=0.5, gt=0.0, le=10.0)
-    arrival_tolerance_deg: float = Field(default=0.2, gt=0.0, le=5.0)
+    host: str = Field(default="127.0.0.1", min_length=1, description="the controller's address or name")
+    port: int = Field(default=502, ge=1, le=65535, description="``$SNPX_PARAM.$MODBUS_PORT``")
+    unit_id: int = Field(default=1, ge=1, le=247, description="``$SNPX_PARAM.$MODBUS_ADR``")
+    timeout_s: float = Field(default=1.0, gt=0.0, le=10.0, description="real seconds for one request on the wire")
+    poll_s: float = Field(
+        default=0.05, ge=0.01, le=1.0, description="clock seconds between two readings while a move is under way"
+    )
+    heartbeat_s: float = Field(
+        default=0.25,
+        ge=0.05,
+        le=1.0,
+        description="clock seconds between two heartbeats of this PC; the robot's watchdog allows 2 s",
+    )
+    heartbeat_timeout_s: float = Field(
+        default=1.5,
+        ge=0.3,
+        le=10.0,
+        description="clock seconds after which a robot's heartbeat that does not count is lost",
+    )
+    hold_output: int = Field(default=3, ge=1, le=4096, description="DO that ends the move in progress")
+    reset_output: int = Field(
+        default=4, ge=1, le=4096, description="DO that resets the controller's fault and restarts the program"
+    )
+    reset_timeout_s: float = Field(default=10.0, gt=0.0, le=120.0, description="clock seconds that a reset may take")
+    joint_speed_mm_s: float = Field(
+        default=300.0,
+        ge=1.0,
+        le=5000.0,
+        description="what the TCP covers at 100 % of a joint move at the least, for the time a move may take",
+    )
+    turn_speed_deg_s: float = Field(
+        default=45.0, ge=1.0, le=720.0, description="what the wrist turns at the least, likewise"
+    )
+    stop_timeout_s: float = Field(
+        default=3.0, ge=0.2, le=30.0, description="clock seconds at 100 % override that a stop may take to be confirmed"
+    )
+    move_grace_s: float = Field(
+        default=3.0, ge=0.2, le=60.0, description="clock seconds added to the time a move may take"
+    )
+    arrival_tolerance_mm: float = Field(
+        default=0.5, gt=0.0, le=10.0, description="how far a finished move may end from its target"
+    )
+    arrival_tolerance_deg: float = Field(
+        default=0.2, gt=0.0, le=5.0, description="how far a finished move may end from its target"
+    )
+
+    @model_validator(mode="after")
+    def _outputs_differ(self) -> Self:
+        if self.hold_output == self.reset_output:
+            raise ValueError(f"hold_output and reset_output are both {self.hold_output}")
+        return self
 
 
 class FanucModbusArm:
@@ -87,6 +104,7 @@ class FanucModbusArm:
         self._robot_beat = 0
         self._robot_beat_at_s = 0.0
         self._heartbeat_lost = False
+        self._lost: PortError | None = None
         self._hold_requested = False
         self._moving = asyncio.Lock()
 
@@ -124,7 +142,7 @@ class FanucModbusArm:
             self._wire.close()
             raise
         self._robot_beat, self._robot_beat_at_s = snapshot.robot_heartbeat, self._clock.now_s()
-        self._heartbeat_lost = False
+        self._heartbeat_lost, self._lost = False, None
         self._lifecycle = Lifecycle.INACTIVE
         self._heartbeat = asyncio.create_task(self._beat(), name="PC heartbeat")
 
@@ -169,14 +187,15 @@ class FanucModbusArm:
         """Read the controller's state."""
         self._require_connected()
         snapshot = await self._read()
+        fault = judgement.fault_text(snapshot)
         return RobotStatus(
             pose=snapshot.pose,
             mode=snapshot.mode,
             pendant_enabled=UopOutput.TPENBL in snapshot.uop,
             servo_on=UopOutput.SYSRDY in snapshot.uop,
-            moving=snapshot.busy,
+            moving=snapshot.busy and fault is None,
             override_percent=snapshot.override_percent,
-            fault=judgement.fault_text(snapshot),
+            fault=fault,
             user_frame=snapshot.user_frame,
             user_tool=snapshot.user_tool,
             session_owner=None,
@@ -328,8 +347,9 @@ class FanucModbusArm:
                 if self._heartbeat_lost and self._lifecycle == Lifecycle.ACTIVE:
                     await self.request_stop()
                 await self._clock.sleep(self._config.heartbeat_s)
-        except PortError:
-            # Without a heartbeat nothing may move; who needs the arm next is told by `_require_connected`.
+        except PortError as error:
+            # Without a heartbeat nothing may move; who needs the arm next is told why by `_require_connected`.
+            self._lost = error
             if self._moving.locked():
                 await self._stop_as_well_as_possible()
             self._wire.close()
@@ -370,6 +390,8 @@ class FanucModbusArm:
             await asyncio.shield(self.request_stop())
 
     def _require_connected(self) -> None:
+        if self._lifecycle == Lifecycle.DISCONNECTED and self._lost is not None:
+            raise NotConnectedError(self._lost.alarm, f"The connection was given up: {self._lost.detail}")
         if self._lifecycle == Lifecycle.DISCONNECTED:
             raise NotConnectedError(Alarm.CONNECTION_LOST, f"{self._wire.address}: not connected.")
 

@@ -25,28 +25,37 @@ _OPEN: Final = frozenset({GripState.OPEN})
 
 
 class RobotIoGripperConfig(BaseModel):
-    """The gripper's part of the cell's YAML.
-
-    Attributes:
-        close_output, open_output: DO of the two valve coils; one is switched off before the other is switched on.
-        held_input: DI that is on while a part is between the fingers.
-        open_input: DI that is on while the gripper is fully open.
-        closed_empty_input: DI that is on while the fingers are closed as far as they go.
-        timeout_s: clock seconds within which the sensors must confirm.
-        settle_s: clock seconds for which they must say the same: a part may still be pushed about, or slip out.
-        poll_s: clock seconds between two readings.
-    """
+    """The gripper's part of the cell's YAML."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    close_output: int = Field(default=1, ge=1, le=4096)
-    open_output: int = Field(default=2, ge=1, le=4096)
-    held_input: int = Field(default=1, ge=1, le=4096)
-    open_input: int = Field(default=2, ge=1, le=4096)
-    closed_empty_input: int = Field(default=3, ge=1, le=4096)
-    timeout_s: float = Field(default=3.0, gt=0.0, le=60.0)
-    settle_s: float = Field(default=0.15, ge=0.0, le=5.0)
-    poll_s: float = Field(default=0.05, ge=0.01, le=1.0)
+    close_output: int = Field(
+        default=1,
+        ge=1,
+        le=4096,
+        description="DO of the two valve coils; one is switched off before the other is switched on",
+    )
+    open_output: int = Field(
+        default=2,
+        ge=1,
+        le=4096,
+        description="DO of the two valve coils; one is switched off before the other is switched on",
+    )
+    held_input: int = Field(default=1, ge=1, le=4096, description="DI that is on while a part is between the fingers")
+    open_input: int = Field(default=2, ge=1, le=4096, description="DI that is on while the gripper is fully open")
+    closed_empty_input: int = Field(
+        default=3, ge=1, le=4096, description="DI that is on while the fingers are closed as far as they go"
+    )
+    timeout_s: float = Field(
+        default=3.0, gt=0.0, le=60.0, description="clock seconds within which the sensors must confirm"
+    )
+    settle_s: float = Field(
+        default=0.15,
+        ge=0.0,
+        le=5.0,
+        description="clock seconds for which they must say the same: a part may still be pushed about, or slip out",
+    )
+    poll_s: float = Field(default=0.05, ge=0.01, le=1.0, description="clock seconds between two readings")
 
     @model_validator(mode="after")
     def _numbers_differ(self) -> Self:

@@ -178,9 +178,13 @@ async def test_disconnecting_twice_and_connecting_again() -> None:
             await b.arm.activate()
 
 
-def test_an_unknown_key_is_an_error() -> None:
-    with pytest.raises(ValueError, match="hots"):
-        FanucModbusConfig.model_validate({"hots": "10.0.0.2"})
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [({"hots": "10.0.0.2"}, "hots"), ({"port": 0}, "port"), ({"hold_output": 4}, "hold_output and reset_output")],
+)
+def test_a_wrong_config_names_what_is_wrong(settings: dict[str, object], named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        FanucModbusConfig.model_validate(settings)
 
 
 @pytest.mark.parametrize(

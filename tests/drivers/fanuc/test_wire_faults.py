@@ -85,6 +85,10 @@ async def test_silence_ends_in_disconnected_by_the_heartbeat() -> None:
         assert error.value.alarm is Alarm.CONNECTION_TIMEOUT
         await b.clock.sleep(1.0)
         assert b.arm.lifecycle is Lifecycle.DISCONNECTED
+        with pytest.raises(NotConnectedError) as error:
+            await b.arm.status()
+        assert "given up" in error.value.detail
+        assert "no usable answer within 0.4 s" in error.value.detail
 
 
 async def test_a_frozen_robot_heartbeat_stops_the_move_and_is_named() -> None:
