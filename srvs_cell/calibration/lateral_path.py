@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 MIN_BASELINE_MM = 2.0
 """Below this, a repeatability of 0.03 mm is already 1.5 % of depth."""
+MIN_PLANNED_MM = 3.0
+"""Above the least baseline by more than a robot misses its target."""
 MAX_ROTATION_DEG = 5.0
 """Rectification takes up small rotations; beyond this the images lose common field."""
 MAX_DIRECTION_ERROR_DEG = 15.0
@@ -47,12 +49,10 @@ def plan_right_pose(calibration: Calibration, base_T_tcp_left: Transform, baseli
         baseline_mm: length of the path; the paper's is 30 mm.
 
     Raises:
-        AlarmError: BASELINE_INVALID where the baseline is shorter than `MIN_BASELINE_MM`.
+        AlarmError: BASELINE_INVALID where the baseline is shorter than `MIN_PLANNED_MM`.
     """
-    if not baseline_mm >= MIN_BASELINE_MM:
-        raise AlarmError(
-            Alarm.BASELINE_INVALID, f"baseline_mm = {baseline_mm:g}: must be at least {MIN_BASELINE_MM:g}."
-        )
+    if not baseline_mm >= MIN_PLANNED_MM:
+        raise AlarmError(Alarm.BASELINE_INVALID, f"baseline_mm = {baseline_mm:g}: must be at least {MIN_PLANNED_MM:g}.")
     camera_x = (base_T_tcp_left @ calibration.tcp_T_camera).rotation[:, 0]
     return Transform.from_parts(
         base_T_tcp_left.target,

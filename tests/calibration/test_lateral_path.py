@@ -31,7 +31,7 @@ def camera_moved(x_mm: float, y_mm: float, z_mm: float, w_deg: float = 0.0, p_de
 angle = st.floats(-180, 180)
 
 
-@given(pose=st.tuples(*[st.floats(-900, 900)] * 3, *[angle] * 3), baseline_mm=st.floats(2, 300))
+@given(pose=st.tuples(*[st.floats(-900, 900)] * 3, *[angle] * 3), baseline_mm=st.floats(3, 300))
 def test_planned_pose_moves_the_camera_along_its_x_axis(
     pose: tuple[float, float, float, float, float, float], baseline_mm: float
 ) -> None:
@@ -67,7 +67,7 @@ def test_small_errors_of_a_real_robot_are_accepted_and_measured() -> None:
     assert measure_baseline(CALIBRATION, LEFT, LEFT).baseline_mm == 0.0
 
 
-@pytest.mark.parametrize("baseline_mm", [0.0, -30.0, float("nan")])
+@pytest.mark.parametrize("baseline_mm", [0.0, 2.5, -30.0, float("nan")])
 def test_a_path_that_is_too_short_is_not_planned(baseline_mm: float) -> None:
-    with pytest.raises(AlarmError, match="must be at least 2"):
+    with pytest.raises(AlarmError, match="must be at least 3"):
         plan_right_pose(CALIBRATION, LEFT, baseline_mm)
