@@ -1,0 +1,87 @@
+"""The simulated cell's own time, arm and camera stream in this process, behind real sockets."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from drivers.sim.camera_client import DRIVER as CAMERA_DRIVER
+from drivers.sim.camera_server import CameraServer
+from drivers.sim.camera_stream import CameraStream, Exposure, PictureMaker
+from drivers.sim.clock_authority import SimTime
+from drivers.sim.clock_client import SimClock
+from drivers.sim.clock_page import ClockPage
+from drivers.sim.modbus_controller import ModbusController
+from drivers.sim.simulation import Simulation, SimulationParameters
+from srvs_cell.ports import DriverContext
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from drivers.sim.arm import SimArm
+    from drivers.sim.world import Snapshot, World
+    from srvs_cell.ports import Camera
+
+_STEP_S = 0.002
+_LAG_S = 0.1
+_QUEUE = 4
+
+
+class _EmptyWorld:
+    """Nothing but time."""
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+
+    def snapshot(self) -> Snapshot | None:
+        return None
+
+
+class _GreyPictures:
+    """Pictures that need no rendering."""
+
+    def picture(self, exposure: Exposure) -> NDArray[np.uint8]:
+        return np.full((48, 64), exposure.sequence % 256, np.uint8)
+
+
+@contextlib.contextmanager
+def simulated_camera(folder: Path) -> Iterator[tuple[Camera, SimClock]]:
+    """The frame socket with its lag and its queue, of an empty world."""
+    world = _EmptyWorld()
+    stream = CameraStream(cast("World", world), _LAG_S, _QUEUE)
+
+    def step() -> float:
+        world.time_s += _STEP_S
+        stream.step()
+        return world.time_s
+
+    page = ClockPage.create(folder / "clock")
+    time = SimTime(step, page, 20.0)
+    server = CameraServer(stream, cast("PictureMaker", _GreyPictures()), time)
+    clock = SimClock(folder / "clock")
+    time.start()
+    try:
+        config = CAMERA_DRIVER.config_model.model_validate({"port": server.start(), "timeout_s": 5.0})
+        yield CAMERA_DRIVER.factory(config, DriverContext(clock)), clock
+    finally:
+        server.close()
+        time.close()
+
+
+@contextlib.contextmanager
+def simulated_arm(folder: Path) -> Iterator[tuple[int, SimClock, SimArm]]:
+    """The physical arm behind the controller double; yields its port."""
+    page = ClockPage.create(folder / "clock")
+    simulation = Simulation(SimulationParameters(objects=1, level="none"), page)
+    controller = ModbusController(simulation.arm, simulation.time)
+    simulation.time.start()
+    try:
+        yield controller.start(), SimClock(folder / "clock"), simulation.arm
+    finally:
+        simulation.time.close()
+        controller.close()
