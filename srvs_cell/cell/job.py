@@ -146,6 +146,8 @@ class Job:
         progress: for the snapshot.
         left, right: the images and poses of the present look.
         early: what was made of the left image while the arm travelled.
+        looks: finished looks.
+        corrections: how often misplaced parts were put right.
         offsets_mm: how far each workpiece has been carried since it was perceived.
         finish: end at the next moment at which the gripper is empty.
     """
@@ -172,6 +174,7 @@ class Job:
         self.right: tuple[NDArray[np.uint8], Transform] | None = None
         self.early: Any = None
         self.looks = 0
+        self.corrections = 0
         self.offsets_mm: dict[int, Point2] = {}
         self.finish = False
         self._steps: deque[Step] = deque(steps)

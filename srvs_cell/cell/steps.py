@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import math
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import plan_right_pose
+from srvs_cell.cell.correction import correction_plan
 from srvs_cell.cell.export import plan_json, workpiece_json
 from srvs_cell.cell.interlocks import check_certainty, check_frame
 from srvs_cell.cell.job import Job, Outcome, Step
@@ -27,10 +29,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Xyzwpr
-    from srvs_cell.planning import CellMove
+    from srvs_cell.planning import CellMove, CellPlan
     from srvs_cell.scene import Perception, Workpiece
 
 _LEVEL_MM = 1.0
+_CORRECTABLE_MM = 30.0
+"""Farther from its goal a part was not misplaced by the cell: somebody else has moved it."""
 
 
 def whole_job(*, holding: bool) -> list[Step]:
@@ -341,29 +345,54 @@ class Verify:
     name: StepName = StepName.VERIFY
 
     async def run(self, job: Job) -> Outcome:
-        """Compare; raises VERIFY_FAILED naming each workpiece that is not at its goal."""
-        tolerance = job.equipment.parameters.tolerance
-        if job.progress.plan is None:
+        """Compare; put parts that are only a little off onto their goals.
+
+        Raises VERIFY_FAILED naming each workpiece that is not at its goal.
+        """
+        tolerance, plan = job.equipment.parameters.tolerance, job.progress.plan
+        if plan is None:
             raise AlarmError(Alarm.INTERNAL_ERROR, "There is no plan to verify.")
-        heights_mm = {workpiece.id: workpiece.height_mm for workpiece in job.progress.workpieces}
+        found = _find(job)
         errors_mm: dict[int, float | None] = {}
+        off: dict[int, Workpiece] = {}
         wrong = []
-        for goal in job.progress.plan.goals:
-            height_mm, (x_mm, y_mm) = heights_mm[goal.workpiece], goal.point_mm
-            alike = [w for w in job.progress.verified if abs(w.height_mm - height_mm) <= tolerance.verify_height_mm]
-            points = [footprint_centroid_mm(workpiece.footprint_mm) for workpiece in alike]
-            distance_mm = min((math.hypot(x - x_mm, y - y_mm) for x, y in points), default=math.inf)
-            seen = math.isfinite(distance_mm)
-            errors_mm[goal.workpiece] = round(distance_mm, 3) if seen else None
+        for goal in plan.goals:
+            distance_mm, workpiece = found[goal.workpiece]
+            errors_mm[goal.workpiece] = None if workpiece is None else round(distance_mm, 3)
             if distance_mm > tolerance.verify_mm:
-                where = f"{distance_mm:.1f} mm from its goal" if seen else "not seen"
+                where = "not seen" if workpiece is None else f"{distance_mm:.1f} mm from its goal"
+                x_mm, y_mm = goal.point_mm
                 wrong.append(f"workpiece {goal.workpiece} is {where} ({x_mm:.1f}, {y_mm:.1f})")
-        evidence = {"tolerance_mm": tolerance.verify_mm, "errors_mm": {str(i): error for i, error in errors_mm.items()}}
-        await job.save_json(f"verify_{job.looks - 1}", {**evidence, "wrong": wrong})
-        if wrong:
-            raise AlarmError(Alarm.VERIFY_FAILED, f"{'; '.join(wrong)} (allowed {tolerance.verify_mm} mm).")
-        job.progress.workpieces = job.progress.verified
-        return Outcome(evidence)
+                if workpiece is not None and distance_mm <= _CORRECTABLE_MM:
+                    off[goal.workpiece] = workpiece
+        errors = {str(identifier): error_mm for identifier, error_mm in errors_mm.items()}
+        evidence = {"tolerance_mm": tolerance.verify_mm, "errors_mm": errors, "wrong": wrong}
+        await job.save_json(f"verify_{job.looks - 1}", evidence)
+        if not wrong:
+            job.progress.workpieces = job.progress.verified
+            return Outcome(evidence)
+        distinct = len({workpiece.id for workpiece in off.values()}) == len(wrong)
+        if distinct and job.corrections < job.equipment.parameters.retries.verify:
+            return Outcome(evidence, await self._correct(job, plan, off))
+        raise AlarmError(Alarm.VERIFY_FAILED, f"{'; '.join(wrong)} (allowed {tolerance.verify_mm} mm).")
+
+    async def _correct(self, job: Job, former: CellPlan, off: dict[int, Workpiece]) -> list[Step]:
+        """Return the steps that bring misplaced parts onto their goals and verify again."""
+        job.corrections += 1
+        seen_mm = {identifier: footprint_centroid_mm(workpiece.footprint_mm) for identifier, workpiece in off.items()}
+        plan = await job.in_thread(lambda: correction_plan(former, seen_mm))
+        content = plan_json(plan)
+        await job.save_json(f"correction_{job.looks - 1}", content)
+        await job.journal_event("plan", "correction", content)
+        if not plan.moves or any(move.workpiece not in off for move in plan.moves):
+            reasons = "; ".join(plan.relocation.reasons) or "another part would have to be moved"
+            raise AlarmError(Alarm.VERIFY_FAILED, f"Misplaced parts cannot be put right: {reasons}.")
+        job.offsets_mm = {}
+        job.progress.moves_left += len(plan.moves)
+        steps: list[Step] = []
+        for move in plan.moves:
+            steps += [Pick(off[move.workpiece], move), Place(move)]
+        return [*steps, *_start_over(verifying=True)]
 
     def reobserve(self) -> Sequence[Step]:
         """Look again."""
@@ -376,6 +405,21 @@ async def _analyse_left(job: Job, right_end: Transform) -> object:
         return None
     image, base_T_tcp_left = left
     return await job.in_thread(lambda: analyse(image, base_T_tcp_left, right_end))
+
+
+def _find(job: Job) -> dict[int, tuple[float, Workpiece | None]]:
+    """Return, for each workpiece that has a goal, the nearest part of its height and its distance from the goal."""
+    plan, height_tolerance_mm = job.progress.plan, job.equipment.parameters.tolerance.verify_height_mm
+    heights_mm = {workpiece.id: workpiece.height_mm for workpiece in job.progress.workpieces}
+    found: dict[int, tuple[float, Workpiece | None]] = {}
+    for goal in () if plan is None else plan.goals:
+        best: tuple[float, Workpiece | None] = (math.inf, None)
+        for workpiece in job.progress.verified:
+            if abs(workpiece.height_mm - heights_mm[goal.workpiece]) <= height_tolerance_mm:
+                distance_mm = math.dist(footprint_centroid_mm(workpiece.footprint_mm), goal.point_mm)
+                best = min(best, (distance_mm, workpiece), key=itemgetter(0))
+        found[goal.workpiece] = best
+    return found
 
 
 def _travel_z_mm(job: Job, hang_mm: float = 0.0) -> float:

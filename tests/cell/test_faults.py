@@ -329,6 +329,29 @@ async def test_a_part_that_is_not_where_it_was_put_is_not_called_done(tmp_path: 
         assert looks == 3
 
 
+async def test_a_part_that_stands_a_little_off_is_put_right(tmp_path: Path) -> None:
+    cell = build(tmp_path)
+    plain = cell.unit.equipment.perceive
+    looks = 0
+
+    def nudged(look: StereoLook) -> Perception:
+        nonlocal looks
+        looks += 1
+        if looks == 2:
+            cell.world.blocks[0].x_mm += 7.0
+        return plain(look)
+
+    replace_equipment(cell, perceive=nudged)
+    async with running(cell):
+        assert await run_to_end(cell) == "Complete"
+        assert looks == 3
+        low = cell.world.blocks[0]
+        assert (low.x_mm, low.y_mm) == pytest.approx((300.0, -120.0))
+        snapshot = cell.unit.snapshot()
+        assert snapshot["moves_done"] == snapshot["moves_total"] == 4
+        assert "correction_1" in snapshot["artefacts"]
+
+
 # -- journal --------------------------------------------------------------------------------------------------------
 
 
