@@ -7,14 +7,20 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from drivers.sim.arm import Repeatability, SimArm
 from drivers.sim.camera_client import DRIVER as CAMERA_DRIVER
 from drivers.sim.camera_server import CameraServer
 from drivers.sim.camera_stream import CameraStream, Exposure, PictureMaker
 from drivers.sim.clock_authority import SimTime
 from drivers.sim.clock_client import SimClock
 from drivers.sim.clock_page import ClockPage
+from drivers.sim.gripper_geometry import GripperGeometry
+from drivers.sim.kinematics import Kinematics
 from drivers.sim.modbus_controller import ModbusController
-from drivers.sim.simulation import Simulation, SimulationParameters
+from drivers.sim.scenario import ScenarioParameters, make_scenario
+from drivers.sim.simulation import OBSERVE_POSE, TABLE_CENTRE_MM
+from drivers.sim.world import World
+from srvs_cell.geometry import Transform
 from srvs_cell.ports import DriverContext
 
 if TYPE_CHECKING:
@@ -23,8 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from drivers.sim.arm import SimArm
-    from drivers.sim.world import Snapshot, World
+    from drivers.sim.world import Snapshot
     from srvs_cell.ports import Camera
 
 _STEP_S = 0.002
@@ -77,11 +82,22 @@ def simulated_camera(folder: Path) -> Iterator[tuple[Camera, SimClock]]:
 def simulated_arm(folder: Path) -> Iterator[tuple[int, SimClock, SimArm]]:
     """The physical arm behind the controller double; yields its port."""
     page = ClockPage.create(folder / "clock")
-    simulation = Simulation(SimulationParameters(objects=1, level="none"), page)
-    controller = ModbusController(simulation.arm, simulation.time)
-    simulation.time.start()
+    gripper = GripperGeometry()
+    home = Transform.from_xyzwpr("base", "tcp", OBSERVE_POSE).matrix
+    world = World(make_scenario(1, 0, gripper, ScenarioParameters(), ties=False), gripper, TABLE_CENTRE_MM, home)
+
+    def step() -> float:
+        arm.step()
+        world.step()
+        return world.time_s
+
+    time = SimTime(step, page, 20.0)
+    kinematics = Kinematics(gripper.flange_to_tcp_mm)
+    arm = SimArm(time, world, kinematics, OBSERVE_POSE, Repeatability(), np.random.default_rng(0))
+    controller = ModbusController(arm, time)
+    time.start()
     try:
-        yield controller.start(), SimClock(folder / "clock"), simulation.arm
+        yield controller.start(), SimClock(folder / "clock"), arm
     finally:
-        simulation.time.close()
+        time.close()
         controller.close()
