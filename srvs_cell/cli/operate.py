@@ -23,7 +23,7 @@ COMMANDS = {
 }
 """The PackML commands, as operators type them, and what they are for."""
 
-_REFUSED = 1
+_REFUSED, _MISUSED = 1, 2
 _WIDTH = 12
 
 Socket = Annotated[Path, typer.Option("--socket", help="The daemon's unix socket; also $SRVS_CELL_SOCKET.")]
@@ -44,14 +44,18 @@ def register(app: typer.Typer) -> None:
 
 def show_status(
     *,
-    watch: Annotated[bool, typer.Option("--watch", help="Go on with one block, or one JSON line, a change.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Go on with each change: a block, or a line of JSON.")] = False,
     as_json: Json = False,
     socket: Socket = DEFAULT_SOCKET,
 ) -> None:
     """Say what the cell is doing."""
+    shown = ""
     with DaemonClient(socket) as daemon:
         for status in daemon.changes() if watch else [daemon.read("status")]:
-            typer.echo(json.dumps(status) if as_json else _status_text(status))
+            text = json.dumps(status) if as_json else _status_text(status)
+            if text != shown:
+                typer.echo(text)
+                shown = text
 
 
 def set_mode(
@@ -97,14 +101,14 @@ def _sender(name: str) -> Callable[..., None]:
 
 
 def _send(socket: Path, name: str, body: dict[str, str] | None, *, as_json: bool) -> None:
-    """Give a command; exit code 1 where it is refused, with the reason on stderr."""
+    """Give a command; exit code 1 where it is refused, 2 where it makes no sense, with the reason on stderr."""
     with DaemonClient(socket) as daemon:
         answer = daemon.command(name, body)
     if as_json:
         typer.echo(json.dumps(answer))
     if not answer["accepted"]:
         typer.echo(_refusal_text(answer), err=True)
-        raise typer.Exit(_REFUSED)
+        raise typer.Exit(_REFUSED if answer["alarm"] else _MISUSED)
     if not as_json:
         typer.echo(answer["state"])
 
@@ -115,7 +119,7 @@ def _refusal_text(answer: dict[str, Any]) -> str:
     lines = [f"srvs-cell: {label}{answer['reason']}"]
     if way := answer.get("leads_there"):
         lines.append(f"  Commands that lead there: {', '.join(way)}")
-    elif alarm:
+    elif alarm and alarm["name"] != "COMMAND_REFUSED":  # whose remedy is the way there, and here there is none
         lines.append(f"  Remedy: {alarm['remedy']}")
     return "\n".join(lines)
 

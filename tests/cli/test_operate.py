@@ -5,12 +5,13 @@ import json
 import tempfile
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell import Mode
+from srvs_cell.cli import operate
 from srvs_cell.cli.client import DaemonClient
 from srvs_cell.cli.main import run
 from srvs_cell.service.api import create_app
@@ -77,6 +78,25 @@ def test_status_json_is_one_object_with_the_contracts_keys(daemon: Daemon, capsy
     assert {"state", "mode", "simulation", "workpieces", "plan", "moves_done"} <= set(status)
 
 
+def test_watch_says_each_thing_once(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
+    text = operate._status_text
+
+    def change_once_then_end(status: dict[str, Any]) -> str:
+        shown = text(status)
+        if status["version"] < 3:
+            asyncio.run_coroutine_threadsafe(daemon.unit.change(), daemon._loop).result(10)
+        else:
+            threading.Thread(target=daemon.end).start()
+        return shown
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(operate, "_status_text", change_once_then_end)
+        assert daemon.run("status", "--watch") == 1
+    out, err = capsys.readouterr()
+    assert out.count("State ") == 1, "the version grew, what an operator sees did not"
+    assert "5006 NO_DAEMON" in err
+
+
 def test_accepted_command_says_the_state(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
     assert daemon.run("clear") == 0
     assert capsys.readouterr().out == "Stopped\n"
@@ -103,7 +123,7 @@ def test_mode_and_resolve(daemon: Daemon, capsys: pytest.CaptureFixture[str]) ->
     assert daemon.unit.gripper == "holding"
     capsys.readouterr()
     assert daemon.run("resolve", "gripper", "perhaps") == 2
-    assert daemon.run("mode", "turbo") == 1
+    assert daemon.run("mode", "turbo") == 2
     assert "Production" in capsys.readouterr().err
 
 

@@ -24,6 +24,18 @@ function showAge() {
   document.body.classList.toggle("stale", age >= QUIET_MS);
 }
 
+// Pictures and text that stay the same stay where they are: no flicker, no lost selection.
+function replaceWhatDiffers(parts) {
+  if (parts.length !== cell.children.length) {
+    cell.replaceChildren(...parts);
+    return;
+  }
+  parts.forEach((part, index) => {
+    const present = cell.children[index];
+    if (!part.isEqualNode(present)) present.replaceWith(part);
+  });
+}
+
 async function load() {
   if (loading) {
     changedMeanwhile = true;
@@ -36,7 +48,7 @@ async function load() {
       const answer = await fetch("/page/cell", { cache: "no-store" });
       if (!answer.ok) throw new Error(`the daemon answered ${answer.status}`);
       const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
-      cell.replaceChildren(...fresh.body.childNodes);
+      replaceWhatDiffers([...fresh.body.children]);
     } while (changedMeanwhile);
   } catch (error) {
     console.warn("srvs-cell:", error); // the banner comes with the silence of the event stream
