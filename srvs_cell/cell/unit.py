@@ -19,7 +19,7 @@ from srvs_cell.cell.alarm_list import AlarmList
 from srvs_cell.cell.export import plan_json, plan_list, status_json, workpiece_json
 from srvs_cell.cell.interlocks import check_frame, check_robot_ready
 from srvs_cell.cell.job import End, Job
-from srvs_cell.cell.journal import GripperKnowledge, LeftOver, utc_now
+from srvs_cell.cell.journal import GripperKnowledge, utc_now
 from srvs_cell.cell.manipulator import Hand, Manipulator
 from srvs_cell.cell.motion import HeldPart
 from srvs_cell.cell.packml import Command, Mode, State
@@ -175,6 +175,8 @@ class Unit:
             command: what is asked for.
             source: who asks, for the journal.
         """
+        if command is Command.CLEAR and not self._journal.is_open:
+            await self._try_journal()
         answer = self._judge(command)
         if answer.accepted:
             self._apply(command, source, "")
@@ -290,24 +292,31 @@ class Unit:
 
     async def _take_over(self) -> None:
         """Learn what the last process left behind; reach the devices, so that they can be read."""
-        try:
-            left = await self._journal.open()
-        except AlarmError as error:
-            self._raise(error)
-            left = LeftOver((), None, None)
-        held = left.held
-        if left.motions and held is None:
-            held = left.motions[-1]["detail"].get("held")
-        if left.unresolved:
-            part = None if held is None else HeldPart.from_json(held)
-            self._hand.knowledge, self._hand.held = GripperKnowledge.UNKNOWN, part
-            self._raise(AlarmError(Alarm.RESTART_UNRESOLVED, f"When the last process ended, {left.unresolved}"))
+        await self._try_journal()
         for name, device in self._named_devices():
             try:
                 await device.connect()
             except PortError as error:
                 self._raise(AlarmError(error.alarm, f"{name}: {error.detail}"))
         self._touch()
+
+    async def _try_journal(self) -> None:
+        try:
+            await self._open_journal()
+        except AlarmError as error:
+            self._raise(error)
+
+    async def _open_journal(self) -> None:
+        """Open the journal; raises RESTART_UNRESOLVED where a person must judge what the last process left."""
+        left = await self._written(self._journal.open())
+        self._note_cleared(self._alarms.remove(Alarm.JOURNAL_FAILED))
+        held = left.held
+        if left.motions and held is None:
+            held = left.motions[-1]["detail"].get("held")
+        if left.unresolved:
+            self._hand.knowledge = GripperKnowledge.UNKNOWN
+            self._hand.held = None if held is None else HeldPart.from_json(held)
+            raise AlarmError(Alarm.RESTART_UNRESOLVED, f"When the last process ended, {left.unresolved}")
 
     async def _leave(self) -> None:
         """Stop what moves and let go of the devices."""
@@ -356,8 +365,6 @@ class Unit:
 
     async def _clear(self) -> None:
         """Reach what cannot be reached, reset the controller's fault: both only because an operator has asked."""
-        if not self._journal.is_open:
-            await self._written(self._journal.open())
         await self._written(self._journal.event("clear", "devices", run=None, source=_INTERNAL, detail={}))
         failed = []
         for name, device in self._named_devices():

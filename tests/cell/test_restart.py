@@ -80,6 +80,23 @@ async def test_an_answer_stays_given_over_another_restart(tmp_path: Path) -> Non
         assert third.alarms == []
 
 
+async def test_a_journal_that_is_reached_late_still_asks(tmp_path: Path) -> None:
+    former = build(tmp_path)
+    await die_in(former, "pick", "move_linear")
+    path = former.journal.path
+    path.rename(tmp_path / "aside")
+    path.mkdir()
+    cell = await restarted(former, tmp_path)
+    async with running(cell):
+        await connected(cell)
+        assert cell.alarms == ["JOURNAL_FAILED"]
+        path.rmdir()
+        (tmp_path / "aside").rename(path)
+        assert not (await cell.unit.command(Command.CLEAR, "test")).accepted
+        assert (cell.state, cell.alarms) == ("Aborted", ["RESTART_UNRESOLVED"])
+        assert cell.arm.targets == []
+
+
 async def test_what_was_journalled_is_not_lost(tmp_path: Path) -> None:
     former = build(tmp_path)
     await die_in(former, "place", "move_linear")
