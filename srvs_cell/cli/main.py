@@ -75,7 +75,10 @@ def application(arguments: list[str]) -> typer.Typer:
 
     @app.callback()
     def _root(
-        *, version: Annotated[bool, typer.Option("--version", is_eager=True, callback=_show_version)] = False
+        *,
+        version: Annotated[
+            bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Show the version.")
+        ] = False,
     ) -> None:
         """Cell controller for a stereo robot vision cell."""
 

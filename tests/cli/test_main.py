@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import typer
 
+from srvs_cell import __version__
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell import Command
 from srvs_cell.cli import main, operate
@@ -61,6 +62,11 @@ def test_done_is_zero_and_interrupted_is_130(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize("arguments", [("work", "--nonsense"), ("no-such-command",), ("--nonsense",)])
 def test_misuse_is_two(monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]) -> None:
     assert run_with(monkeypatch, lambda: None, *arguments) == 2
+
+
+def test_version_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_with(monkeypatch, lambda: None, "--version") == 0
+    assert capsys.readouterr().out == f"{__version__}\n"
 
 
 def test_every_module_of_the_table_has_its_commands() -> None:
