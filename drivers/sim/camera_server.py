@@ -6,18 +6,29 @@ import contextlib
 import select
 import socket
 import threading
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from drivers.sim.camera_wire import FRAME, GRAB, HEADER, NO_FRAME, NOT_GRABBED, RETRIEVE
 
 if TYPE_CHECKING:
-    from drivers.sim.camera_stream import CameraStream, Exposure, PictureMaker
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from drivers.sim.camera_stream import CameraStream, Exposure
     from drivers.sim.clock_authority import SimTime
 
 _NO_FRAME_AFTER_S: Final = 1.0
 _NO_FRAME_REAL_S: Final = 5.0
 _READER_GRACE_S: Final = 0.2
 _WAIT_S: Final = 0.2
+
+
+class Pictures(Protocol):
+    """What makes pictures of exposures."""
+
+    def picture(self, exposure: Exposure) -> NDArray[np.uint8]:
+        """Return the 8-bit picture, shape (H, W)."""
+        ...
 
 
 class CameraServer:
@@ -30,25 +41,26 @@ class CameraServer:
             a frame.
     """
 
-    def __init__(self, stream: CameraStream, pictures: PictureMaker, time: SimTime) -> None:
+    def __init__(self, stream: CameraStream, pictures: Pictures, time: SimTime) -> None:
         self._stream, self._pictures, self._time = stream, pictures, time
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(_WAIT_S)
+        self._thread: threading.Thread | None = None
         self._connection: socket.socket | None = None
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="camera server", daemon=True)
 
     def start(self) -> int:
         """Serve; return the port."""
+        listener = socket.create_server(("127.0.0.1", 0))
+        listener.settimeout(_WAIT_S)
+        self._thread = threading.Thread(target=self._serve, args=(listener,), name="camera server", daemon=True)
         self._thread.start()
-        return int(self._listener.getsockname()[1])
+        return int(listener.getsockname()[1])
 
     def close(self) -> None:
         """End the server; its reader's connection is cut."""
         self._closing.set()
         self.disconnect()
-        self._thread.join()
-        self._listener.close()
+        if self._thread is not None:
+            self._thread.join()
 
     def disconnect(self) -> None:
         """Cut the reader's connection, as a pulled plug would."""
@@ -57,17 +69,18 @@ class CameraServer:
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
 
-    def _serve(self) -> None:
-        while not self._closing.is_set():
-            try:
-                connection, _ = self._listener.accept()
-            except TimeoutError:
-                continue
-            with connection:
-                self._connection = connection
-                with contextlib.suppress(OSError):
-                    self._attend(connection)
-                self._connection = None
+    def _serve(self, listener: socket.socket) -> None:
+        with listener:
+            while not self._closing.is_set():
+                try:
+                    connection, _ = listener.accept()
+                except TimeoutError:
+                    continue
+                with connection:
+                    self._connection = connection
+                    with contextlib.suppress(OSError):  # the reader has gone; the next one may come
+                        self._attend(connection)
+                    self._connection = None
 
     def _attend(self, connection: socket.socket) -> None:
         connection.settimeout(None)
@@ -98,7 +111,9 @@ class CameraServer:
                 exposure = self._stream.take()
                 if exposure is not None:
                     taken.append(exposure)
-                return exposure is not None or self._time.now_s() >= until_s or self._closing.is_set()
+                return (
+                    exposure is not None or self._time.now_s() >= until_s or self._closing.is_set() or self._time.closed
+                )
 
             self._time.lock.wait_for(ready, _NO_FRAME_REAL_S)
         return taken[0] if taken else None

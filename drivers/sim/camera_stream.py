@@ -7,9 +7,10 @@ for the frame whose pixels somebody wants.
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
     from drivers.sim.renderer import Renderer
     from drivers.sim.sensor import Sensor
-    from drivers.sim.world import Snapshot, World
+    from drivers.sim.world import Snapshot
 
 FRAME_RATE_HZ: Final = 15.0
 
@@ -38,6 +39,19 @@ class Exposure:
     snapshot: Snapshot
 
 
+class Seen(Protocol):
+    """What a stream asks of a world."""
+
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds."""
+        ...
+
+    def snapshot(self) -> Snapshot:
+        """Return where everything is now."""
+        ...
+
+
 class CameraStream:
     """Exposes frames as time goes on. `step` and `take` are called under the world's lock.
 
@@ -51,7 +65,7 @@ class CameraStream:
         frozen: while true, the device repeats its last exposure, time stamp included.
     """
 
-    def __init__(self, world: World, lag_s: float, depth: int) -> None:
+    def __init__(self, world: Seen, lag_s: float, depth: int) -> None:
         self.running = True
         self.frozen = False
         self._world, self._lag_s, self._depth = world, lag_s, depth
@@ -85,12 +99,15 @@ class CameraStream:
 
 
 class PictureMaker:
-    """Renders exposures; the same exposure always gives the same picture. Use it from one thread at a time."""
+    """Renders exposures, one at a time; the same exposure always gives the same picture."""
 
     def __init__(self, renderer: Renderer, sensor: Sensor, seed: int) -> None:
         self._renderer, self._sensor, self._seed = renderer, sensor, seed
+        self._lock = threading.Lock()
 
     def picture(self, exposure: Exposure) -> NDArray[np.uint8]:
         """Return the 8-bit picture, shape (H, W)."""
         random = np.random.default_rng([self._seed, 2, exposure.sequence])
-        return self._sensor.expose(self._renderer.render(exposure.snapshot), random)
+        with self._lock:
+            irradiance = self._renderer.render(exposure.snapshot)
+        return self._sensor.expose(irradiance, random)

@@ -40,8 +40,6 @@ class Control:
 
     def __init__(self, simulation: Simulation, camera_server: CameraServer, shutdown: Callable[[], None]) -> None:
         self._simulation, self._camera_server, self._shutdown = simulation, camera_server, shutdown
-        self._pictures = simulation.picture_maker()
-        self._rendering = threading.Lock()
         self._faults: dict[str, Callable[[dict[str, Any]], None]] = {
             "e_stop": lambda _: simulation.arm.raise_fault(_ESTOP, servo_off=True),
             "arm_fault": lambda request: simulation.arm.raise_fault(str(request.get("text", _FAULT))),
@@ -80,8 +78,8 @@ class Control:
 
     def _render(self) -> str:
         exposure = self._simulation.view_now()
-        with self._rendering, self._simulation.time.hold():
-            picture = self._pictures.picture(exposure)
+        with self._simulation.time.hold():
+            picture = self._simulation.pictures.picture(exposure)
         encoded = np.asarray(cv2.imencode(".png", picture)[1])
         return base64.b64encode(encoded.tobytes()).decode("ascii")
 

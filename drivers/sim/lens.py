@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from srvs_cell.geometry import Array
 
-_NEWTON_STEPS: Final = 8
+_NEWTON_STEPS: Final = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +46,8 @@ class Lens:
         ideal = distorted.copy()
         for _ in range(_NEWTON_STEPS):
             value, slope = self._distort(ideal)
-            ideal -= np.linalg.solve(slope, (value - distorted)[..., None])[..., 0]
-        slope = self._distort(ideal)[1]
-        return ideal, np.linalg.inv(slope) / np.array([self.fx, self.fy])
+            ideal -= np.einsum("...ij,...j->...i", _inverse(slope), value - distorted)
+        return ideal, _inverse(self._distort(ideal)[1]) / np.array([self.fx, self.fy])
 
     def _distort(self, ideal: Array) -> tuple[Array, Array]:
         """Return distorted points (..., 2) and the derivative by the ideal ones (..., 2, 2)."""
@@ -73,3 +72,10 @@ class Lens:
             axis=-2,
         )
         return value, slope
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverses of 2x2 matrices, shape (..., 2, 2)."""
+    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    return np.asarray(adjugate / (a * d - b * c)[..., None, None])

@@ -182,8 +182,10 @@ class Motion:
             return
         limit = self.path.acceleration
         wanted = 0.0 if self.stopped else self.path.speed * override
-        wanted = min(wanted, math.sqrt(2.0 * limit * max(1.0 - self.s, 0.0)))
         before, most = self._rate, limit * seconds
+        # the greatest rate after this step from which the rest of the way is enough to stop
+        rest = most * most - 4.0 * (most * before - 2.0 * limit * (1.0 - self.s))
+        wanted = min(wanted, max((math.sqrt(max(rest, 0.0)) - most) / 2.0, 0.0))
         self._rate = max(before + min(max(wanted - before, -most), most), 0.0)
         self.s += (before + self._rate) / 2.0 * seconds
         if self.s >= 1.0 - self.path.acceleration * seconds * seconds:

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 _NO_GEOM: Final = -1
 _OFFSET_M: Final = 1e-6
-_CHUNK_PIXELS: Final = 4096
+_CHUNK_PIXELS: Final = 512
+_CHUNK_RAYS: Final = 32768
 _UP: Final = 0.95
 _INK: Final = 0.35
 _SAME_NORMAL: Final = 0.999
@@ -46,7 +47,7 @@ class Lighting:
     fill: float = 0.22
     ambient: float = 0.24
     fill_direction: tuple[float, float, float] = (0.35, -0.45, 0.82)
-    exposure: float = 0.92
+    exposure: float = 1.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +62,7 @@ class RenderParameters:
 
     samples: int = 55
     lattice: int = 34
-    contrast: float = 0.04
+    contrast: float = 0.08
     lighting: Lighting = field(default_factory=Lighting)
 
 
@@ -118,22 +119,33 @@ class Renderer:
         mujoco.mj_kinematics(self._model, self._data)
         base_T_camera = snapshot.base_T_tcp @ self._mount
         shape = (self._lens.height, self._lens.width)
-        grey, geom, normal, lit = self._shade(self._rays, base_T_camera)
+        chunks = [
+            self._shade(self._rays[start : start + _CHUNK_RAYS], base_T_camera, None)
+            for start in range(0, len(self._rays), _CHUNK_RAYS)
+        ]
+        grey, geom, normal, lit = (np.concatenate(column) for column in zip(*chunks, strict=True))
         image = grey.reshape(shape)
         fine = np.flatnonzero(
             self._changes(image, geom.reshape(shape), normal.reshape(*shape, 3), lit.reshape(shape)).ravel()
         )
         flat = image.ravel()
+        all_lit = _least_of_neighbours(lit.reshape(shape)).ravel()
         for start in range(0, len(fine), _CHUNK_PIXELS):
             pixels = fine[start : start + _CHUNK_PIXELS]
-            offset = np.einsum("pij,sj->psi", self._ray_slope[pixels], self._sub_pixels)
+            offset = np.matmul(self._ray_slope[pixels], self._sub_pixels.T).transpose(0, 2, 1)
             rays = self._rays[pixels][:, None, :] + offset
-            values = self._shade(rays.reshape(-1, 2), base_T_camera)[0]
+            surely_lit = np.repeat(all_lit[pixels], self._parameters.samples)
+            values = self._shade(rays.reshape(-1, 2), base_T_camera, surely_lit)[0]
             flat[pixels] = values.reshape(len(pixels), -1).mean(axis=1)
         return image
 
-    def _shade(self, rays: Array, base_T_camera: Array) -> tuple[Array, NDArray[np.int32], Array, NDArray[np.bool_]]:
-        """Return grey (N,), geom (N,), normal (N, 3) and whether the lamp is seen (N,) for rays (N, 2)."""
+    def _shade(
+        self, rays: Array, base_T_camera: Array, surely_lit: NDArray[np.bool_] | None
+    ) -> tuple[Array, NDArray[np.int32], Array, NDArray[np.bool_]]:
+        """Return grey (N,), geom (N,), normal (N, 3) and whether the lamp is seen (N,) for rays (N, 2).
+
+        ``surely_lit`` (N,) tells where nothing nearby is in a shadow, so that none has to be looked for.
+        """
         light = self._parameters.lighting
         count = len(rays)
         camera_rays = np.concatenate([rays, np.ones((count, 1))], axis=1)
@@ -144,10 +156,10 @@ class Renderer:
         point = eye + distance[:, None] * direction
         lamp = np.asarray(light.lamp_mm) * MM
         to_lamp = lamp - point
-        to_lamp /= np.linalg.norm(to_lamp, axis=1, keepdims=True)
-        cosine = np.einsum("ij,ij->i", normal, to_lamp)
+        cosine = np.einsum("ij,ij->i", normal, to_lamp) / np.sqrt(np.einsum("ij,ij->i", to_lamp, to_lamp))
         lit = hit & (cosine > 0.0)
-        lit[lit] = self._sees_lamp(lamp, point[lit] + _OFFSET_M * normal[lit])
+        doubtful = np.flatnonzero(lit if surely_lit is None else lit & ~surely_lit)
+        lit[doubtful] = self._sees_lamp(lamp, point[doubtful] + _OFFSET_M * normal[doubtful])
         fill = np.asarray(light.fill_direction) / np.linalg.norm(light.fill_direction)
         irradiance = (
             light.ambient
@@ -245,9 +257,14 @@ class Renderer:
             )
             changed[first] |= difference
             changed[second] |= difference
-        wide = changed.copy()
-        wide[1:] |= changed[:-1]
-        wide[:-1] |= changed[1:]
-        wide[:, 1:] |= changed[:, :-1]
-        wide[:, :-1] |= changed[:, 1:]
-        return wide
+        return ~_least_of_neighbours(~changed)
+
+
+def _least_of_neighbours(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where a flag and those of all four neighbours are set."""
+    least = flags.copy()
+    least[1:] &= flags[:-1]
+    least[:-1] &= flags[1:]
+    least[:, 1:] &= flags[:, :-1]
+    least[:, :-1] &= flags[:, 1:]
+    return least

@@ -40,7 +40,7 @@ class ScenarioParameters:
         tie_mm: greatest difference of the two heights of a tie.
         gap_mm: least free distance between fully open fingers, or a part, and any other part at any place.
         table_albedo: reflectance of the table.
-        contrast: least difference of a part's reflectance to the table's.
+        albedo: ranges of the parts' reflectance: unlike the lit table's, and unlike that of its shadows.
         label_share: share of parts with a printed top.
     """
 
@@ -53,7 +53,7 @@ class ScenarioParameters:
     tie_mm: float = 1.0
     gap_mm: float = 5.0
     table_albedo: float = 0.42
-    contrast: float = 0.10
+    albedo: tuple[tuple[float, float], ...] = ((0.24, 0.32), (0.52, 0.62), (0.62, 0.74), (0.74, 0.85))
     label_share: float = 0.35
 
 
@@ -120,7 +120,7 @@ def _shape(
             kind = CUBOID
         else:
             low_height = max(parameters.height_mm[0], height_mm - length * float(random.uniform(0.3, 0.55)))
-    albedo = _albedo(random, parameters)
+    albedo = float(random.uniform(*parameters.albedo[int(random.integers(len(parameters.albedo)))]))
     label = kind == CUBOID and bool(random.random() < parameters.label_share)
     return Part(
         kind=kind,
@@ -134,14 +134,6 @@ def _shape(
         albedo=albedo,
         label=label,
     )
-
-
-def _albedo(random: np.random.Generator, parameters: ScenarioParameters) -> float:
-    low, high = 0.14, 0.85
-    while True:
-        albedo = float(random.uniform(low, high))
-        if abs(albedo - parameters.table_albedo) >= parameters.contrast:
-            return albedo
 
 
 def _lay_out(

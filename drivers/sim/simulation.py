@@ -69,7 +69,7 @@ class Simulation:
         home = Transform.from_xyzwpr("base", "tcp", OBSERVE_POSE).matrix
         self.world = World(parts, gripper, TABLE_CENTRE_MM, home)
         self.stream = CameraStream(self.world, imperfections.frame_lag_s, imperfections.queue_depth)
-        self.time = SimTime(self._step, page, parameters.speed)
+        self.time = SimTime(self.step, page, parameters.speed)
         self.arm = SimArm(
             self.time,
             self.world,
@@ -78,13 +78,8 @@ class Simulation:
             imperfections.repeatability,
             random,
         )
-        self._render_parts = (self.camera.lens, self.camera.mount.matrix, table.table_albedo, parameters.seed)
-        self._sensor, self._seed = imperfections.sensor, parameters.seed
-        self.pictures = self.picture_maker()
-
-    def picture_maker(self) -> PictureMaker:
-        """Return a renderer of the camera's view, for one thread of its own."""
-        return PictureMaker(Renderer(self.world, *self._render_parts), self._sensor, self._seed)
+        renderer = Renderer(self.world, self.camera.lens, self.camera.mount.matrix, table.table_albedo, parameters.seed)
+        self.pictures = PictureMaker(renderer, imperfections.sensor, parameters.seed)
 
     def view_now(self) -> Exposure:
         """Return what the camera would see at this instant."""
@@ -106,7 +101,8 @@ class Simulation:
             },
         }
 
-    def _step(self) -> float:
+    def step(self) -> float:
+        """Advance everything by one time step and return the new time; called under the world's lock."""
         self.arm.step()
         self.world.step()
         self.stream.step()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+import cv2
 import numpy as np
 
 if TYPE_CHECKING:
@@ -11,7 +12,12 @@ if TYPE_CHECKING:
 
     from srvs_cell.geometry import Array
 
-_LATTICE: Final = 64
+_TEXEL_MM: Final = 0.5
+_SIDE_TEXELS: Final = 1024
+"""A power of two."""
+
+_PAD: Final = 2
+_FACTOR_RANGE: Final = (0.3, 1.7)
 _LABEL_SHARE: Final = 0.62
 _BAR_COUNT: Final = 17
 _FRAME: Final = (0.95, 0.93)
@@ -20,27 +26,8 @@ _FIRST_LINE, _LINE_STEP, _HALF_LINE = 0.25, 0.22, 0.06
 _MARGIN: Final = 0.85
 
 
-class ValueNoise:
-    """Smooth noise about 0 with a standard deviation of about 1: bilinear-smooth steps of a periodic random lattice."""
-
-    def __init__(self, random: np.random.Generator) -> None:
-        self._lattice = random.standard_normal((_LATTICE, _LATTICE))
-
-    def at(self, u: Array, v: Array) -> Array:
-        """Return the noise at lattice coordinates of any shape."""
-        i, j = np.floor(u), np.floor(v)
-        s, t = u - i, v - j
-        s, t = s * s * (3.0 - 2.0 * s), t * t * (3.0 - 2.0 * t)
-        i0, j0 = i.astype(np.intp) % _LATTICE, j.astype(np.intp) % _LATTICE
-        i1, j1 = (i0 + 1) % _LATTICE, (j0 + 1) % _LATTICE
-        lattice = self._lattice
-        top = lattice[i0, j0] * (1.0 - t) + lattice[i0, j1] * t
-        bottom = lattice[i1, j0] * (1.0 - t) + lattice[i1, j1] * t
-        return np.asarray(top * (1.0 - s) + bottom * s)
-
-
 class SurfaceGrain:
-    """Relative variation of reflectance over a surface.
+    """Relative variation of reflectance over a surface, periodic, baked once: a look-up has no arithmetic.
 
     Args:
         random: of the noise.
@@ -48,14 +35,23 @@ class SurfaceGrain:
     """
 
     def __init__(self, random: np.random.Generator, octaves: tuple[tuple[float, float], ...]) -> None:
-        self._layers = [(ValueNoise(random), period, depth) for period, depth in octaves]
+        side_mm = _SIDE_TEXELS * _TEXEL_MM
+        factor = np.ones((_SIDE_TEXELS, _SIDE_TEXELS))
+        for period_mm, depth in octaves:
+            count = max(2, round(side_mm / period_mm))
+            # wrapped around, so that the pattern has no seam
+            lattice = np.pad(random.standard_normal((count, count)), _PAD, mode="wrap")
+            scale = _SIDE_TEXELS / count
+            at = ((np.arange(_SIDE_TEXELS) + 0.5) / scale - 0.5 + _PAD).astype(np.float32)
+            columns, rows = np.meshgrid(at, at)
+            factor += depth * cv2.remap(lattice, columns, rows, cv2.INTER_CUBIC)
+        self._factor = np.clip(factor, *_FACTOR_RANGE)
 
     def factor(self, u_mm: Array, v_mm: Array) -> Array:
         """Return the factor on the reflectance at surface coordinates in millimetres."""
-        factor = np.ones(np.shape(u_mm))
-        for noise, period_mm, depth in self._layers:
-            factor += depth * noise.at(u_mm / period_mm, v_mm / period_mm)
-        return np.clip(factor, 0.3, 1.7)
+        i = (u_mm * (1.0 / _TEXEL_MM)).astype(np.int32) & (_SIDE_TEXELS - 1)
+        j = (v_mm * (1.0 / _TEXEL_MM)).astype(np.int32) & (_SIDE_TEXELS - 1)
+        return np.asarray(self._factor[i, j])
 
 
 class Label:
