@@ -16,6 +16,8 @@ import numpy as np
 from srvs_cell.vision.faces import Figure
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array, Transform
@@ -24,9 +26,9 @@ if TYPE_CHECKING:
 
 _SMOOTHING_PX = 1.0
 _SAMPLE_STEP_PX = 0.5
-_SAMPLE_SPACING_PX = 1.5
-_SIDE_SAMPLES_MIN, _SIDE_SAMPLES_MAX = 8, 60
-_ALONG = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
+_SAMPLE_SPACING_PX = 2.5
+_SIDE_SAMPLES_MIN, _SIDE_SAMPLES_MAX = 8, 32
+_ALONG = np.array([1.0, 2.0, 1.0]) / 4.0
 """Weights that average neighbouring profiles of one side against noise."""
 _CLEAR_SHARE = 0.15
 """An edge is never asked to have more than this share of the strongest gradient in its window."""
@@ -37,6 +39,8 @@ _INSIDE = (0.25, 0.45, 0.65)
 """Where, as shares of the way from centre to outline, the texture is measured."""
 _SCHEDULE = ((6.0, 4.0), (6.0, 3.0), (5.0, 2.0), (4.0, 1.5), (3.0, 1.0), (3.0, 0.7), (2.5, 0.5), (2.5, 0.3), (2.5, 0.3))
 """Half width of the search and scale of the robust weight in each iteration, pixels."""
+_SCOUTS = 4
+"""Iterations after which it shows whether a start leads anywhere."""
 _FLAT = 1e-9
 """Curvature of a profile that has no peak, so that the parabola stays defined."""
 _MISSING_PX = 3.0
@@ -158,6 +162,25 @@ class _Linearised:
     found: NDArray[np.bool_]
 
 
+def fit_best_face(
+    starts: Iterable[Face],
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    *,
+    inclined: bool,
+    min_gradient: float,
+) -> FaceFit | None:
+    """Try several starts for a few iterations and fit the one that leads nearest to the edges; see `fit_face`."""
+    best: FaceFit | None = None
+    for start in starts:
+        scout = _fit(start, fields, rig, _SCHEDULE[:_SCOUTS], inclined=inclined, min_gradient=min_gradient)
+        if scout is not None and (best is None or scout.rms_px < best.rms_px):
+            best = scout
+    if best is None:
+        return None
+    return _fit(best.face, fields, rig, _SCHEDULE[_SCOUTS:], inclined=inclined, min_gradient=min_gradient)
+
+
 def fit_face(
     start: Face, fields: tuple[EdgeField, EdgeField], rig: RectifiedRig, *, inclined: bool, min_gradient: float
 ) -> FaceFit | None:
@@ -173,6 +196,18 @@ def fit_face(
     Returns:
         The fit, or None where the outline leaves the view or the edges do not determine it.
     """
+    return _fit(start, fields, rig, _SCHEDULE, inclined=inclined, min_gradient=min_gradient)
+
+
+def _fit(
+    start: Face,
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    schedule: tuple[tuple[float, float], ...],
+    *,
+    inclined: bool,
+    min_gradient: float,
+) -> FaceFit | None:
     face = start
     counts = _side_samples(face, rig)
     unit, tangents = face.unit_outline(counts)
@@ -182,12 +217,12 @@ def fit_face(
         for field, texture in zip(fields, _textures(face, unit, fields, rig), strict=True)
     )
     camera_T_base = rig.base_T_camera.inverse()
-    for half_width_px, scale_px in _SCHEDULE:
+    for half_width_px, scale_px in schedule:
         now = _linearise(face, outline, seekers, rig, camera_T_base, half_width_px, scale_px)
         if now is None or now.found.mean() < _HOPELESS_SHARE:
             return None
         face = face.with_parameters(face.parameters(inclined=inclined) + now.step)
-    last = _linearise(face, outline, seekers, rig, camera_T_base, *_SCHEDULE[-1])
+    last = _linearise(face, outline, seekers, rig, camera_T_base, *schedule[-1])
     if last is None:
         return None
     distances = np.where(last.found, np.abs(last.residuals_px), _MISSING_PX)
@@ -276,7 +311,7 @@ def _textures(face: Face, unit: Array, fields: tuple[EdgeField, EdgeField], rig:
 
 
 def _neighbours(counts: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return for each sample the samples that its profile is averaged with: neighbours on the same side, (N, 5)."""
+    """Return for each sample the samples that its profile is averaged with: neighbours on the same side, (N, 3)."""
     reach = _ALONG.size // 2
     starts = np.cumsum(counts) - counts
     return np.concatenate(

@@ -18,7 +18,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from srvs_cell.scene import UNKNOWN_KIND, Workpiece
-from srvs_cell.vision.face_fit import EdgeField, FaceFit, fit_face
+from srvs_cell.vision.face_fit import EdgeField, FaceFit, fit_best_face, fit_face
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
 from srvs_cell.vision.grasping import GraspParameters, plan_grasp
 from srvs_cell.vision.recovery import NO_PLANE, Region, find_places, stable_regions, unmatched_planes
@@ -237,22 +237,15 @@ def _inclined(
 ) -> FaceFit | None:
     """Return the best rectangle that is inclined along one of its sides; matching says too little of the slope."""
     level = _bounding_rectangle(_laid_on(surface, rig, _UP), surface.centre_mm[2])
-    best: FaceFit | None = None
+    starts = []
     for turn in range(_SIDES):
         direction = level.angle_rad + turn * np.pi / 2.0
-        rise = np.array([np.cos(direction), np.sin(direction)])
-        start = _bounding_rectangle(
-            _laid_on(surface, rig, np.append(-_START_SLOPE * rise, 1.0)), surface.centre_mm[2], direction
-        )
-        fit = fit_face(
-            replace(start, slope_u=_START_SLOPE), fields, rig, inclined=True, min_gradient=limits.min_gradient
-        )
-        if (
-            fit is not None
-            and limits.min_inclination_deg <= fit.face.inclination_deg <= limits.max_inclination_deg
-            and (best is None or fit.rms_px < best.rms_px)
-        ):
-            best = fit
+        normal = np.array([-_START_SLOPE * np.cos(direction), -_START_SLOPE * np.sin(direction), 1.0])
+        start = _bounding_rectangle(_laid_on(surface, rig, normal), surface.centre_mm[2], direction)
+        starts.append(replace(start, slope_u=_START_SLOPE))
+    best = fit_best_face(starts, fields, rig, inclined=True, min_gradient=limits.min_gradient)
+    if best is None or not limits.min_inclination_deg <= best.face.inclination_deg <= limits.max_inclination_deg:
+        return None
     return best
 
 
