@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from srvs_cell.cell import Equipment, Journal, RunRecorder, Unit, make_devices
 from srvs_cell.planning import Workspace, plan_relocation
-from srvs_cell.vision import StereoView, perceive
+from srvs_cell.vision import LeftAnalysis, StereoView, analyse_left, perceive
 from srvs_cell.vision.overlay import draw_locations, draw_matches
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from srvs_cell.calibration import Calibration
     from srvs_cell.cell import StereoLook
     from srvs_cell.config import CellConfig
+    from srvs_cell.geometry import Transform
     from srvs_cell.scene import Perception
 
 _JOURNAL = "journal.sqlite"
@@ -47,13 +48,25 @@ def make_unit(config: CellConfig, state_dir: Path) -> Unit:
         perceive=partial(_perceive, config, calibration),
         plan=partial(plan_relocation, parameters=config.planning, workspace=workspace),
         pictures=_pictures,
+        analyse_left=partial(_analyse_left, config, calibration),
     )
     return Unit(equipment, simulation=config.simulation)
 
 
+def _analyse_left(
+    config: CellConfig,
+    calibration: Calibration,
+    left: NDArray[np.uint8],
+    base_T_tcp_left: Transform,
+    planned_base_T_tcp_right: Transform,
+) -> LeftAnalysis:
+    view = StereoView(calibration, base_T_tcp_left, planned_base_T_tcp_right, config.cell.table_z_mm)
+    return analyse_left(left, config.vision, view)
+
+
 def _perceive(config: CellConfig, calibration: Calibration, look: StereoLook) -> Perception:
     view = StereoView(calibration, look.base_T_tcp_left, look.base_T_tcp_right, config.cell.table_z_mm)
-    return perceive(look.left, look.right, config.vision, view=view, stopwatch=time.perf_counter)
+    return perceive(look.left, look.right, config.vision, view=view, early=look.early, stopwatch=time.perf_counter)
 
 
 def _pictures(perception: Perception) -> dict[str, NDArray[np.uint8]]:
