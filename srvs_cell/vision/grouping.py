@@ -33,6 +33,12 @@ _TRIALS = 300
 _MIN_REGIONS = 2
 _POINTS = 3
 _GREY_LIMIT = 30.0
+_OUTSIDE_GREY = -1000.0
+_SOBEL_SCALE = 0.125
+_NOISE_GREY = 0.5
+"""Costs that differ by less are alike: it is what rounding and noise cost."""
+_LEAST_WEIGHT = 0.1
+"""Grey values per pixel: what a pixel counts that lies on no slope."""
 _BESIDE_PX = 1.0
 _FLAT_SLOPE = 0.3
 """A surface whose disparity changes by more per pixel is none that a camera sees well."""
@@ -72,9 +78,12 @@ def group_surfaces(
     if not surfaces:
         return Grouping(left, right, tuple(matches))
     pair = GreyPair.of(left.grey, right.grey)
-    owner = np.full(len(left.planes) + 1, -1)
+    owner = np.full(len(left.planes) + 1, -1, dtype=np.int_)
+    own = np.full((len(left.planes) + 1, 3), np.nan)
+    for match in matches:
+        own[match.left] = match.disparity_plane
     for _ in range(_ROUNDS):
-        owner = assign_regions(pair, left.labels, len(left.planes) + 1, surfaces, limits)
+        owner = assign_regions(pair, left.labels, own, surfaces, limits)
         surfaces = [_realigned(pair, left.labels, owner == k, plane, parameters) for k, plane in enumerate(surfaces)]
     return _joined(left, right, matches, owner, surfaces, parameters, valid)
 
@@ -128,53 +137,61 @@ def _through_three(points: Array, area: Array, generator: np.random.Generator) -
 def assign_regions(
     pair: GreyPair,
     labels: NDArray[np.int32],
-    count: int,
+    own: Array,
     surfaces: Sequence[DisparityPlane],
     limits: GroupingParameters,
 ) -> NDArray[np.int_]:
-    """Return for each region the number of the surface that explains it best, or -1 where none does distinctly.
+    """Return for each region the number of the surface that explains it best, or -1 where it belongs to none.
+
+    A region belongs to a surface that explains it distinctly, and better than or as well as the region's own plane.
 
     Args:
         pair: the prepared images.
         labels: regions of the left image, int32, shape (H, W).
-        count: number of labels, 0 included.
+        own: (a, b, c) of every label's own plane, NaN where it has none, shape (labels, 3).
         surfaces: their disparity planes.
         limits: greatest cost, distinctness.
     """
-    area = np.maximum(np.bincount(labels.ravel(), minlength=count), 1)
-    at, beside = [], []
-    for plane in surfaces:
-        costs = [_cost(pair, labels, count, plane, shift) / area for shift in (0.0, _BESIDE_PX, -_BESIDE_PX)]
-        at.append(costs[0])
-        beside.append(np.minimum(costs[1], costs[2]))
-    cost, other = np.array(at), np.array(beside)
-    best = np.argmin(cost, axis=0)
+    count = len(own)
+    weights = np.abs(cv2.Sobel(pair.left, cv2.CV_32F, 1, 0, scale=_SOBEL_SCALE)) + _LEAST_WEIGHT
+    flat = labels.ravel()
+    total = np.maximum(np.bincount(flat, weights=weights.ravel(), minlength=count), _LEAST_WEIGHT)
+
+    def cost(planes: Array, shift_px: float) -> Array:
+        difference = _difference(pair, planes, shift_px) * weights
+        return np.asarray(np.bincount(flat, weights=difference.ravel(), minlength=count) / total)
+
+    planes = [np.array(plane).reshape(3, 1, 1) for plane in surfaces]
+    at = np.array([cost(plane, 0.0) for plane in planes])
+    beside = np.array([np.minimum(cost(plane, _BESIDE_PX), cost(plane, -_BESIDE_PX)) for plane in planes])
+    best = np.argmin(at, axis=0)
     number = np.arange(count)
-    lowest = cost[best, number]
-    distinct = other[best, number] > limits.distinctness * lowest
-    chosen = np.where((lowest < limits.max_cost) & distinct, best, -1)
+    lowest = at[best, number]
+    distinct = beside[best, number] > limits.distinctness * lowest
+    matched = np.isfinite(own).all(axis=1)
+    own_cost = cost(np.moveaxis(np.nan_to_num(own)[labels], -1, 0), 0.0)
+    as_good = lowest <= limits.distinctness * own_cost + _NOISE_GREY
+    chosen = np.where((lowest < limits.max_cost) & np.where(matched, as_good, distinct), best, -1)
     chosen[0] = -1
     return np.asarray(chosen)
 
 
-def _cost(pair: GreyPair, labels: NDArray[np.int32], count: int, plane: DisparityPlane, shift_px: float) -> Array:
-    """Return the sum of the bounded grey differences of each region under a plane."""
-    height, width = labels.shape
-    a, b, c = plane
+def _difference(pair: GreyPair, planes: Array, shift_px: float) -> NDArray[np.float32]:
+    """Return the bounded grey differences under planes (a, b, c), broadcast to shape (3, H, W)."""
+    height, width = pair.left.shape
+    a, b, c = planes.astype(np.float32)
     columns = np.arange(width, dtype=np.float32)
-    rows = np.arange(height, dtype=np.float32)[:, None]
-    map_x = columns * np.float32(1.0 - a) - np.float32(b) * rows - np.float32(c + shift_px)
-    map_y = np.broadcast_to(rows, map_x.shape)
+    rows = np.broadcast_to(np.arange(height, dtype=np.float32)[:, None], (height, width))
+    map_x = columns - (a * columns + b * rows + c + np.float32(shift_px))
     shifted = cv2.remap(
         pair.right,
         map_x,
-        np.ascontiguousarray(map_y),
+        np.ascontiguousarray(rows),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT,
-        borderValue=-1e3,
+        borderValue=_OUTSIDE_GREY,
     )
-    difference = np.minimum(np.abs(pair.left - shifted), np.float32(_GREY_LIMIT))
-    return np.asarray(np.bincount(labels.ravel(), weights=difference.ravel(), minlength=count), dtype=np.float64)
+    return np.asarray(np.minimum(np.abs(pair.left - shifted), _GREY_LIMIT), dtype=np.float32)
 
 
 def _realigned(

@@ -133,10 +133,10 @@ class RefinementParameters:
     max_shift_px: Annotated[
         float, Field(gt=0.0, le=20.0, description="an alignment that moves the plane farther is refused")
     ] = 3.0
-    max_pixels: Annotated[int, Field(ge=50, le=1_000_000, description="pixels of a plane that are used")] = 4000
+    max_pixels: Annotated[int, Field(ge=50, le=1_000_000, description="pixels of a plane that are used")] = 2000
     min_correlation: Annotated[
         float, Field(ge=-1.0, le=1.0, description="a match whose aligned grey values correlate less is dropped")
-    ] = 0.8
+    ] = 0.95
 
 
 @dataclass(frozen=True, kw_only=True, config=_CONFIG)
@@ -151,7 +151,7 @@ class GroupingParameters:
         float, Field(gt=0.0, le=100.0, description="mean grey difference up to which a plane explains a region")
     ] = 6.0
     distinctness: Annotated[
-        float, Field(ge=1.0, le=10.0, description="a pixel beside the plane the cost must be greater by this factor")
+        float, Field(ge=1.0, le=10.0, description="the cost beside a surface, and a region's own one, in the surface's")
     ] = 1.15
     min_enclosure: Annotated[
         float, Field(gt=0.0, le=1.0, description="share of its border with a surface that makes a region print on it")

@@ -34,7 +34,9 @@ _MIN_PIXELS = 12
 _CORRELATED_PIXELS = 12.0
 """Smoothing makes so many neighbouring pixels count as one."""
 _LEAST_SIGMA_PX = 0.02
-_MIN_CONTRAST = 3.0
+_CONVINCING = 0.97
+_LEVEL_STEP_PX = 1.5
+_MIN_CONTRAST = 5.0
 """Standard deviation in grey values below which the noise spoils the correlation."""
 _RANGE_MARGIN_PX = 1.0
 
@@ -89,7 +91,7 @@ def refine_matches(
     for match in matches:
         plane = left.planes[match.left - 1]
         rows, columns = _with_band(left, plane, parameters.band_px)
-        alignment = align_plane(pair, rows, columns, match.disparity_plane, parameters)
+        alignment = _best_alignment(pair, rows, columns, match, plane.centre_px, parameters)
         better = match
         if alignment is not None:
             if alignment.contrast > _MIN_CONTRAST and alignment.correlation < parameters.min_correlation:
@@ -105,6 +107,33 @@ def refine_matches(
         if low - _RANGE_MARGIN_PX <= better.disparity_px <= high + _RANGE_MARGIN_PX:
             refined.append(better)
     return refined
+
+
+def _best_alignment(
+    pair: GreyPair,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    match: PlaneMatch,
+    centre_px: tuple[float, float],
+    parameters: RefinementParameters,
+) -> Alignment | None:
+    """Align from the plane of the borders and, where that does not convince, from level planes around it.
+
+    The borders of a face that another one partly hides do not correspond, and give a false slope.
+    """
+    found = align_plane(pair, rows, columns, match.disparity_plane, parameters)
+    if found is not None and found.correlation >= _CONVINCING:
+        return found
+    x, y = centre_px
+    a, b, c = match.disparity_plane
+    middle = a * x + b * y + c
+    levels = np.arange(-parameters.max_shift_px, parameters.max_shift_px + _LEVEL_STEP_PX, _LEVEL_STEP_PX)
+    others = [align_plane(pair, rows, columns, (0.0, 0.0, middle + level), parameters) for level in levels.tolist()]
+    return max(
+        (candidate for candidate in (found, *others) if candidate is not None),
+        key=lambda candidate: candidate.correlation,
+        default=None,
+    )
 
 
 def _with_band(image: PlaneImage, plane: Plane, band_px: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

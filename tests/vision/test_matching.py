@@ -1,0 +1,93 @@
+"""The paper's matching rule, threshold by threshold, in both readings of the maxima."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from srvs_cell.scene import Plane
+from srvs_cell.vision.matching import PlanePair, match_planes
+from srvs_cell.vision.parameters import MatchingParameters, Maxima
+
+PAPER = MatchingParameters(max_row_distance_px=2.0, max_column_margin_px=0.0)
+RANGE = (10.0, 40.0)
+
+
+def plane(number: int, x: float = 100.0, y: float = 50.0, brightness: float = 100.0, area: float = 400.0) -> Plane:
+    return Plane(
+        id=number,
+        centre_px=(x, y),
+        area_px=area,
+        perimeter_px=80.0,
+        short_cut_px=10.0,
+        long_cut_px=14.0,
+        brightness=brightness,
+        box_px=(0, 0, 20, 20),
+        touches_border=False,
+    )
+
+
+def test_the_same_face_shifted_by_its_disparity_matches_with_the_ratio_of_brightness() -> None:
+    assert match_planes([plane(1)], [plane(1, x=75.0, brightness=80.0)], RANGE, PAPER) == (PlanePair(1, 1, 0.8),)
+
+
+def test_the_row_distance_and_the_disparity_range_are_gates() -> None:
+    assert not match_planes([plane(1)], [plane(1, x=75.0, y=52.5)], RANGE, PAPER)
+    assert not match_planes([plane(1)], [plane(1, x=95.0)], RANGE, PAPER)
+    assert not match_planes([plane(1)], [plane(1, x=55.0)], RANGE, PAPER)
+    wider = replace(PAPER, max_column_margin_px=10.0)
+    assert match_planes([plane(1)], [plane(1, x=95.0)], RANGE, wider)
+
+
+def test_each_difference_must_be_less_than_its_weight_times_the_smaller_value() -> None:
+    right = plane(1, x=75.0)
+    for name in ("area_px", "perimeter_px", "short_cut_px", "long_cut_px"):
+        value = getattr(right, name)
+        just_inside, just_outside = replace(right, **{name: value * 1.299}), replace(right, **{name: value * 1.301})
+        assert match_planes([plane(1)], [just_inside], RANGE, PAPER), name
+        assert not match_planes([plane(1)], [just_outside], RANGE, PAPER), name
+
+
+def test_every_weight_has_its_own_threshold() -> None:
+    right = replace(plane(1, x=75.0), area_px=480.0)
+    assert match_planes([plane(1)], [right], RANGE, PAPER)
+    assert not match_planes([plane(1)], [right], RANGE, replace(PAPER, weight_area=0.1))
+
+
+def test_a_match_function_of_no_more_than_the_threshold_is_refused() -> None:
+    assert not match_planes([plane(1)], [plane(1, x=75.0, brightness=70.0)], RANGE, PAPER)
+    assert match_planes([plane(1)], [plane(1, x=75.0, brightness=70.5)], RANGE, PAPER)
+
+
+def test_the_best_must_be_mutual() -> None:
+    left = [plane(1, brightness=100.0), plane(2, x=110.0, brightness=95.0)]
+    right = [plane(7, x=80.0, brightness=96.0)]
+    assert [(pair.left, pair.right) for pair in match_planes(left, right, RANGE, PAPER)] == [(2, 7)]
+
+
+def test_a_distant_plane_of_the_same_brightness_spoils_only_the_literal_reading() -> None:
+    left = [plane(1, brightness=100.0)]
+    right = [plane(1, x=75.0, brightness=98.0), plane(2, x=75.0, y=300.0, brightness=100.0)]
+    assert not match_planes(left, right, RANGE, replace(PAPER, maxima=Maxima.ALL_PLANES))
+    admissible = match_planes(left, right, RANGE, replace(PAPER, maxima=Maxima.ADMISSIBLE))
+    assert [(pair.left, pair.right) for pair in admissible] == [(1, 1)]
+
+
+def test_both_readings_agree_where_every_plane_has_its_own_brightness() -> None:
+    left = [plane(1, brightness=60.0), plane(2, y=150.0, brightness=120.0)]
+    right = [plane(1, x=80.0, brightness=61.0), plane(2, x=70.0, y=150.0, brightness=118.0)]
+    readings = [match_planes(left, right, RANGE, replace(PAPER, maxima=maxima)) for maxima in Maxima]
+    assert readings[0] == readings[1]
+    assert [(pair.left, pair.right) for pair in readings[0]] == [(1, 1), (2, 2)]
+
+
+def test_equal_match_functions_are_decided_by_the_differences_then_by_the_id() -> None:
+    left = [plane(1)]
+    right = [plane(1, x=75.0, area=440.0), plane(2, x=80.0, area=410.0), plane(3, x=85.0, area=410.0)]
+    assert [(pair.left, pair.right) for pair in match_planes(left, right, RANGE, PAPER)] == [(1, 2)]
+
+
+def test_black_planes_have_a_ratio_of_one_and_no_planes_no_match() -> None:
+    (pair,) = match_planes([plane(1, brightness=0.0)], [plane(1, x=75.0, brightness=0.0)], RANGE, PAPER)
+    assert pair.score == 1.0
+    assert match_planes([], [plane(1)], RANGE, PAPER) == ()
+    assert match_planes([plane(1)], [], RANGE, PAPER) == ()

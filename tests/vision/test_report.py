@@ -1,0 +1,71 @@
+"""The JSON of the command line's contract."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from srvs_cell.scene import Perception, Plane, PlaneImage, PlaneMatch, Workpiece
+from srvs_cell.vision import perception_to_json
+
+PLANE = Plane(3, (10.5, 20.25), 400.0, 80.0, 9.5, 14.0, 120.0, (0, 0, 20, 20), touches_border=False)
+IMAGE = PlaneImage(np.zeros((4, 5), np.uint8), np.zeros((4, 5), np.int32), (PLANE,))
+WORKPIECE = Workpiece(
+    id=0,
+    kind="cylinder",
+    position_mm=(1.0, 2.0, 3.0),
+    height_mm=40.0,
+    yaw_deg=None,
+    size_mm=(30.0, 30.0),
+    covariance_mm2=np.eye(3),
+    footprint_mm=np.zeros((4, 2)),
+    surfaces=(3,),
+    grasp=None,
+    grasp_refusal="test",
+)
+PERCEPTION = Perception(
+    IMAGE,
+    IMAGE,
+    (PlaneMatch(3, 3, 0.9, 12.5, (0.0, 0.1, 12.0)),),
+    np.zeros((4, 5), np.float32),
+    (),
+    (WORKPIECE,),
+    {"edges": 1.5},
+)
+
+
+def test_the_keys_are_those_of_the_contract() -> None:
+    report = json.loads(json.dumps(perception_to_json(PERCEPTION)))
+    assert list(report) == ["planes_left", "planes_right", "matches", "workpieces", "timings_ms"]
+    assert report["planes_left"] == [
+        {
+            "id": 3,
+            "centre_px": [10.5, 20.25],
+            "area_px": 400.0,
+            "perimeter_px": 80.0,
+            "short_cut_px": 9.5,
+            "long_cut_px": 14.0,
+            "brightness": 120.0,
+        }
+    ]
+    assert report["matches"] == [
+        {"left": 3, "right": 3, "score": 0.9, "disparity_px": 12.5, "disparity_plane": [0.0, 0.1, 12.0]}
+    ]
+    assert report["workpieces"] == [
+        {
+            "id": 0,
+            "kind": "cylinder",
+            "position_mm": [1.0, 2.0, 3.0],
+            "height_mm": 40.0,
+            "yaw_deg": None,
+            "size_mm": [30.0, 30.0],
+            "covariance_mm2": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            "surfaces": [3],
+        }
+    ]
+    assert report["timings_ms"] == {"edges": 1.5}
+
+
+def test_without_calibration_there_are_no_workpieces() -> None:
+    assert "workpieces" not in perception_to_json(PERCEPTION, calibrated=False)
