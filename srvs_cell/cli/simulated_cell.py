@@ -175,5 +175,5 @@ def _config(listening: Mapping[str, Any], socket_path: Path) -> dict[str, Any]:
     config["devices"]["clock"]["path"] = listening["clock_page"]
     config["devices"]["camera"]["port"] = listening["camera_port"]
     config["devices"]["arm"]["port"] = listening["modbus_port"]
-    config["service"] |= {"socket_path": str(socket_path), "tcp_port": None, "state_dir": "state"}
+    config["service"] |= {"socket": str(socket_path), "tcp_port": None, "state_dir": "state"}
     return config

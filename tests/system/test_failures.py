@@ -1,0 +1,82 @@
+"""What a real cell meets: the daemon killed, the wire cut, the camera gone. Real processes, real sockets."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from srvs_cell.cli.simulated_cell import SimulatedCell, SimulationOptions, simulated_cell
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[SimulatedCell]:
+    with simulated_cell(SimulationOptions(objects=3, seed=2), tmp_path) as running:
+        yield running
+
+
+def follow(cell: SimulatedCell, until: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """Return the first status that satisfies the condition; the stream's own silence limit bounds the wait."""
+    for status in cell.client.changes():
+        if until(status):
+            return status
+    raise AssertionError("the event stream ended")
+
+
+def bring_up(cell: SimulatedCell) -> None:
+    for command, state in (("clear", "Stopped"), ("reset", "Idle")):
+        assert cell.client.command(f"command/{command}")["accepted"]
+        follow(cell, lambda status, state=state: status["state"] == state)  # type: ignore[misc]
+
+
+def start_until_holding(cell: SimulatedCell) -> dict[str, Any]:
+    """Start the job and return the status when the gripper has taken the first part."""
+    bring_up(cell)
+    assert cell.client.command("command/start")["accepted"]
+    return follow(cell, lambda status: status["gripper"]["knowledge"] == "holding")
+
+
+def codes(status: dict[str, Any]) -> set[int]:
+    return {alarm["code"] for alarm in status["alarms"]}
+
+
+def test_nothing_moves_before_an_operator_commands(cell: SimulatedCell) -> None:
+    status = cell.client.read("status")
+    assert status["state"] == "Aborted"
+    refused = cell.client.command("command/start")
+    assert not refused["accepted"]
+    assert [step.lower() for step in refused["leads_there"]] == ["clear", "reset", "start"]
+    assert cell.control.ask("truth")["motions_started"] == 0
+
+
+def test_killed_in_mid_job_it_never_sends_a_move_again(cell: SimulatedCell) -> None:
+    start_until_holding(cell)
+    cell.daemon.kill()
+    motions = cell.control.ask("truth")["motions_started"]
+    cell.daemon.start()
+    status = cell.client.read("status")
+    assert status["state"] == "Aborted"
+    assert 5003 in codes(status)
+    assert status["gripper"]["knowledge"] == "unknown"
+    assert cell.client.read("history")["history"], "the journal lost what it had"
+    assert cell.control.ask("truth")["motions_started"] <= motions + 1, "only the move under way may have begun"
+    assert not cell.client.command("command/start")["accepted"]
+
+
+def test_a_cut_wire_ends_in_a_named_alarm_and_aborted(cell: SimulatedCell) -> None:
+    start_until_holding(cell)
+    cell.control.ask("inject", fault="modbus_cut")
+    status = follow(cell, lambda status: status["state"] == "Aborted")
+    assert codes(status) & {1003, 2004}
+    assert cell.control.ask("truth")["arm"]["moving"] is False or status["gripper"]["knowledge"] != "empty"
+
+
+def test_a_camera_that_stops_ends_in_held(cell: SimulatedCell) -> None:
+    bring_up(cell)
+    cell.control.ask("inject", fault="camera_stop")
+    assert cell.client.command("command/start")["accepted"]
+    status = follow(cell, lambda status: status["state"] in {"Held", "Aborted"})
+    assert codes(status) & {3001, 3002, 3003}
+    assert status["moves_done"] == 0
