@@ -109,6 +109,9 @@ def suggest_surfaces(
         design = np.column_stack([points[:, :2], np.ones(len(points))])
         near = np.abs(candidates @ design.T - points[:, 2]) < limits.max_step_px
         near &= free & (np.abs(candidates[:, :2]) < _FLAT_SLOPE).all(axis=1)[:, None]
+        # three points always have a plane: one that was drawn through three needs two more
+        needed = np.where(np.arange(len(candidates)) < largest.size, _MIN_REGIONS, _POINTS + _MIN_REGIONS)
+        near &= (near.sum(axis=1) >= needed)[:, None]
         best = int(np.argmax(near @ area))
         inliers = near[best]
         if np.count_nonzero(inliers) < _MIN_REGIONS:

@@ -1,0 +1,72 @@
+"""Plane matching on the Middlebury 2001 pairs and on indoor pairs: a table against the published truth.
+
+Usage: python benchmarks/perceive_middlebury.py DATA [--faithful]
+
+DATA is the folder that holds ``middlebury2001`` and ``stereodemo_oakd``. One set of parameters for all pairs; nothing
+is tuned to a pair. The truth is stored in eighths of a pixel, so that agreement below 0.1 px proves nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from srvs_cell.vision import VisionParameters, perceive
+
+TRUTH_SCALE = 8.0
+SETS = ("sawtooth", "venus", "poster")
+ROW = "{:<18}{:>9}{:>10}{:>12}{:>15}{:>11}"
+
+
+def middlebury(folder: Path, parameters: VisionParameters) -> None:
+    """Print a row for each set with truth."""
+    for name in SETS:
+        images = [cv2.imread(str(folder / name / f"{view}.ppm")) for view in ("im2", "im6")]
+        perception = perceive(images[0], images[1], replace(parameters, max_disparity_px=32.0))
+        truth = cv2.imread(str(folder / name / "disp2.pgm"), cv2.IMREAD_GRAYSCALE) / TRUTH_SCALE
+        known = truth > 0.0
+        both = known & np.isfinite(perception.disparity_px)
+        error = np.abs(perception.disparity_px - truth)[both]
+        within = f"{np.mean(error <= 1.0):.1%}" if error.size else "-"
+        median = f"{np.median(error):.3f}" if error.size else "-"
+        covered = f"{both.sum() / known.sum():.1%}"
+        print(ROW.format(name, len(perception.matches), covered, within, median, milliseconds(images, parameters)))
+
+
+def indoor(folder: Path, parameters: VisionParameters) -> None:
+    """Print a row for each pair without truth."""
+    for left in sorted(folder.glob("*_left.png")):
+        images = [cv2.imread(str(left)), cv2.imread(str(left).replace("_left", "_right"))]
+        perception = perceive(images[0], images[1], replace(parameters, max_disparity_px=96.0))
+        covered = f"({np.isfinite(perception.disparity_px).mean():.1%})"
+        name = left.stem.removesuffix("_left")
+        print(ROW.format(name, len(perception.matches), covered, "-", "-", milliseconds(images, parameters)))
+
+
+def milliseconds(images: list[np.ndarray], parameters: VisionParameters) -> str:
+    """Return the time of one perception on one thread."""
+    start = time.perf_counter()
+    perceive(images[0], images[1], parameters)
+    return f"{1000.0 * (time.perf_counter() - start):.0f}"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--faithful", action="store_true", help="the paper's steps alone")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    parameters = VisionParameters.faithful() if options.faithful else VisionParameters()
+    print(ROW.format("pair", "matched", "covered", "within 1 px", "median error", "ms"))
+    middlebury(options.data / "middlebury2001", parameters)
+    indoor(options.data / "stereodemo_oakd", parameters)
+
+
+if __name__ == "__main__":
+    main()
