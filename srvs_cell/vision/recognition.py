@@ -32,6 +32,13 @@ if TYPE_CHECKING:
 
 _HALF_TURN_DEG = 180.0
 _LEAST_SHARE = 0.4
+_WALL_TILT_DEG = 65.0
+"""A matched plane that leans more is a side face."""
+_LEVEL_TILT_DEG = 5.0
+"""A well matched plane that leans less is level."""
+_SLOPE_SIGMA_PX = 0.1
+_SHARED_PLACE = 0.4
+"""Share of the smaller footprint that measuring errors never let two neighbours share."""
 _SURE_RMS_PX = 0.4
 """A figure that fits worse waits until the better ones have taken their surfaces."""
 _CERTAIN_RMS_PX = 0.15
@@ -136,6 +143,7 @@ def recognise(
                 (limits.min_size_mm, limits.max_size_mm),
             )
             _add_tops(found, tops, fields, rig, table_z_mm, limits)
+    tops = _one_per_place(tops)
     unknown: list[Surface] = []
     for surface in leftover:
         owner = _column(np.array([surface.centre_mm]), surface.centre_mm[2], tops)
@@ -160,7 +168,7 @@ def _add_tops(
     """Add the top faces among surfaces to those known, the surest and largest first; returns the other surfaces."""
     fitted = [(surface, _fit_top(surface, fields, rig, table_z_mm, limits)) for surface in surfaces]
     found = [(surface, fit) for surface, fit in fitted if fit is not None]
-    found.sort(key=lambda one: (one[1].rms_px > _SURE_RMS_PX, -_face_area_mm2(one[1].face)))
+    found.sort(key=lambda one: _rank(one[1]))
     for surface, fit in found:
         owner = _column(fit.face.corners_mm(), min(surface.centre_mm[2], fit.face.z_mm), tops)
         if owner is None:
@@ -170,8 +178,29 @@ def _add_tops(
     return [surface for surface, fit in fitted if fit is None]
 
 
-def _face_area_mm2(face: Face) -> float:
-    return face.length_mm * face.width_mm
+def _one_per_place(tops: list[_Top]) -> list[_Top]:
+    """Return the tops without those that stand where a surer one stands; its surfaces go to the surer one.
+
+    Parts stand on the table beside each other, so that two top faces over one place cannot both be right.
+    """
+    kept: list[_Top] = []
+    for top in sorted(tops, key=lambda one: _rank(one.fit)):
+        outline = top.fit.face.corners_mm()[:, :2].astype(np.float32)
+        for number, other in enumerate(kept):
+            standing = other.fit.face.corners_mm()[:, :2].astype(np.float32)
+            shared_mm2, _ = cv2.intersectConvexConvex(outline, standing)
+            if shared_mm2 > _SHARED_PLACE * min(cv2.contourArea(outline), cv2.contourArea(standing)):
+                kept[number] = replace(other, surfaces=(*other.surfaces, *top.surfaces))
+                break
+        else:
+            kept.append(top)
+    return kept
+
+
+def _rank(fit: FaceFit) -> tuple[int, float]:
+    """Return the sort key that puts the surest first, among equals the largest: a face before the print on it."""
+    sureness = (fit.rms_px > _CERTAIN_RMS_PX) + (fit.rms_px > _SURE_RMS_PX)
+    return sureness, -fit.face.length_mm * fit.face.width_mm
 
 
 def _explained(region: Region, tops: list[_Top], rig: RectifiedRig) -> bool:
@@ -197,7 +226,7 @@ def _fit_top(
     """Return the best figure of a surface as a top face, or None where it is none."""
     # the middle of an inclined face that runs out on the table is at half its height
     least_mm = table_z_mm + _LEAST_SHARE * limits.min_height_mm
-    if not least_mm < surface.centre_mm[2] < table_z_mm + limits.max_height_mm:
+    if not least_mm < surface.centre_mm[2] < table_z_mm + limits.max_height_mm or _tilt_deg(surface) > _WALL_TILT_DEG:
         return None
     best: FaceFit | None = None
     for start in _starts(surface, rig):
@@ -208,10 +237,17 @@ def _fit_top(
             return best if _is_top(best, table_z_mm, limits) else None
     if best is not None and best.face.figure is not Figure.RECTANGLE and best.rms_px < _SURE_RMS_PX:
         return best if _is_top(best, table_z_mm, limits) else None
+    measured = surface.match.right != NO_PLANE and surface.match.disparity_sigma_px <= _SLOPE_SIGMA_PX
+    if measured and best is not None and _tilt_deg(surface) < _LEVEL_TILT_DEG:
+        return best if _is_top(best, table_z_mm, limits) else None
     inclined = _inclined(surface, fields, rig, limits)
     if inclined is not None and (best is None or inclined.rms_px < limits.inclined_gain * best.rms_px):
         best = inclined
     return best if best is not None and _is_top(best, table_z_mm, limits) else None
+
+
+def _tilt_deg(surface: Surface) -> float:
+    return float(np.rad2deg(np.arccos(np.clip(surface.normal[2], -1.0, 1.0))))
 
 
 def _starts(surface: Surface, rig: RectifiedRig) -> list[Face]:
