@@ -12,23 +12,35 @@ import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from srvs_cell.vision import VisionParameters, perceive
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
 TRUTH_SCALE = 8.0
 SETS = ("sawtooth", "venus", "poster")
 ROW = "{:<18}{:>9}{:>10}{:>12}{:>15}{:>11}"
 
 
+def read(path: Path, mode: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
+    """Return an image; raises `FileNotFoundError` where there is none."""
+    image = cv2.imread(str(path), mode)
+    if image is None:
+        raise FileNotFoundError(path)
+    return np.asarray(image, dtype=np.uint8)
+
+
 def middlebury(folder: Path, parameters: VisionParameters) -> None:
     """Print a row for each set with truth."""
     for name in SETS:
-        images = [cv2.imread(str(folder / name / f"{view}.ppm")) for view in ("im2", "im6")]
+        images = [read(folder / name / f"{view}.ppm") for view in ("im2", "im6")]
         perception = perceive(images[0], images[1], replace(parameters, max_disparity_px=32.0))
-        truth = cv2.imread(str(folder / name / "disp2.pgm"), cv2.IMREAD_GRAYSCALE) / TRUTH_SCALE
+        truth = read(folder / name / "disp2.pgm", cv2.IMREAD_GRAYSCALE) / TRUTH_SCALE
         known = truth > 0.0
         both = known & np.isfinite(perception.disparity_px)
         error = np.abs(perception.disparity_px - truth)[both]
@@ -41,14 +53,14 @@ def middlebury(folder: Path, parameters: VisionParameters) -> None:
 def indoor(folder: Path, parameters: VisionParameters) -> None:
     """Print a row for each pair without truth."""
     for left in sorted(folder.glob("*_left.png")):
-        images = [cv2.imread(str(left)), cv2.imread(str(left).replace("_left", "_right"))]
+        images = [read(left), read(left.with_name(left.name.replace("_left", "_right")))]
         perception = perceive(images[0], images[1], replace(parameters, max_disparity_px=96.0))
         covered = f"({np.isfinite(perception.disparity_px).mean():.1%})"
         name = left.stem.removesuffix("_left")
         print(ROW.format(name, len(perception.matches), covered, "-", "-", milliseconds(images, parameters)))
 
 
-def milliseconds(images: list[np.ndarray], parameters: VisionParameters) -> str:
+def milliseconds(images: list[NDArray[np.uint8]], parameters: VisionParameters) -> str:
     """Return the time of one perception on one thread."""
     start = time.perf_counter()
     perceive(images[0], images[1], parameters)

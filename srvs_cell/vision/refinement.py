@@ -36,6 +36,8 @@ _CORRELATED_PIXELS = 12.0
 _LEAST_SIGMA_PX = 0.02
 _CONVINCING = 0.97
 _LEVEL_STEP_PX = 1.5
+_ROUGH_PIXELS = 500
+"""So many pixels tell which of several starts is the best."""
 _MIN_CONTRAST = 5.0
 """Standard deviation in grey values below which the noise spoils the correlation."""
 _RANGE_MARGIN_PX = 1.0
@@ -128,12 +130,15 @@ def _best_alignment(
     a, b, c = match.disparity_plane
     middle = a * x + b * y + c
     levels = np.arange(-parameters.max_shift_px, parameters.max_shift_px + _LEVEL_STEP_PX, _LEVEL_STEP_PX)
-    others = [align_plane(pair, rows, columns, (0.0, 0.0, middle + level), parameters) for level in levels.tolist()]
-    return max(
-        (candidate for candidate in (found, *others) if candidate is not None),
-        key=lambda candidate: candidate.correlation,
-        default=None,
-    )
+    rough = replace(parameters, max_pixels=_ROUGH_PIXELS)
+    others = [align_plane(pair, rows, columns, (0.0, 0.0, middle + level), rough) for level in levels.tolist()]
+    best = max((other for other in others if other is not None), key=_correlation_of, default=None)
+    again = None if best is None else align_plane(pair, rows, columns, best.plane, parameters)
+    return max((each for each in (found, again) if each is not None), key=_correlation_of, default=None)
+
+
+def _correlation_of(alignment: Alignment) -> float:
+    return alignment.correlation
 
 
 def _with_band(image: PlaneImage, plane: Plane, band_px: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -90,16 +90,21 @@ def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.uint16]:
 def _grow(labels: NDArray[np.uint16], reach: NDArray[np.bool_], steps: int) -> NDArray[np.uint16]:
     """Return the labels after growth by so many pixels into what is in reach and has none."""
     grown = labels.copy()
-    missing = ((labels == 0) & reach).astype(np.uint8)
+    wanted = np.asarray(cv2.bitwise_and(cv2.compare(labels, 0, cv2.CMP_EQ), reach.astype(np.uint8)), dtype=np.uint8)
+    if not cv2.countNonZero(wanted):
+        return grown
+    # the work is done on the part of the image that has anything left to reach
+    x, y, width, height = cv2.boundingRect(wanted)
+    window = (slice(max(y - 1, 0), y + height + 1), slice(max(x - 1, 0), x + width + 1))
+    part, missing = np.ascontiguousarray(grown[window]), np.ascontiguousarray(wanted[window])
     left = cv2.countNonZero(missing)
     for _ in range(steps):
-        if not left:
-            break
-        cv2.copyTo(cv2.dilate(grown, _CROSS), missing, grown)
-        missing[grown > 0] = 0
+        cv2.copyTo(cv2.dilate(part, _CROSS), missing, part)
+        cv2.bitwise_and(missing, cv2.compare(part, 0, cv2.CMP_EQ), missing)
         before, left = left, cv2.countNonZero(missing)
-        if left == before:
+        if left in {0, before}:
             break
+    grown[window] = part
     return grown
 
 
