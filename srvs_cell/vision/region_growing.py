@@ -24,6 +24,7 @@ _LEVELS_PX = (24.0, 16.0, 11.0, 8.0, 5.0, 3.0, 2.0, 1.0, 0.5)
 """The circle's radii; the last level gives every closed region a core, however narrow."""
 _MAX_LABEL = 65535
 _MEETING_STEPS = 40
+_NONE = np.zeros(1)
 _EDGE_STEPS = 3
 _NEAR_EDGE = np.ones((3, 3), np.uint8)
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -90,7 +91,7 @@ def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.uint16]:
 def _grow(labels: NDArray[np.uint16], reach: NDArray[np.bool_], steps: int) -> NDArray[np.uint16]:
     """Return the labels after growth by so many pixels into what is in reach and has none."""
     grown = labels.copy()
-    wanted = np.asarray(cv2.bitwise_and(cv2.compare(labels, 0, cv2.CMP_EQ), reach.astype(np.uint8)), dtype=np.uint8)
+    wanted = np.asarray(cv2.bitwise_and(cv2.inRange(labels, _NONE, _NONE), reach.astype(np.uint8)), dtype=np.uint8)
     if not cv2.countNonZero(wanted):
         return grown
     # the work is done on the part of the image that has anything left to reach
@@ -100,7 +101,7 @@ def _grow(labels: NDArray[np.uint16], reach: NDArray[np.bool_], steps: int) -> N
     left = cv2.countNonZero(missing)
     for _ in range(steps):
         cv2.copyTo(cv2.dilate(part, _CROSS), missing, part)
-        cv2.bitwise_and(missing, cv2.compare(part, 0, cv2.CMP_EQ), missing)
+        cv2.bitwise_and(missing, cv2.inRange(part, _NONE, _NONE), missing)
         before, left = left, cv2.countNonZero(missing)
         if left in {0, before}:
             break
