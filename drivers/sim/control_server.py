@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _ESTOP: Final = "SRVO-001 Operator panel E-stop"
 _FAULT: Final = "SRVO-023 Stop error excess"
 _DROP_HEIGHT_MM: Final = 40.0
+_FULL_PERCENT: Final = 100
 
 
 class RequestError(ValueError):
@@ -48,7 +49,7 @@ class Control:
             "camera_disconnect": lambda _: camera_server.disconnect(),
             "drop_part": self._drop_part,
             "move_part": self._move_part,
-            "override": lambda request: setattr(simulation.arm, "override_percent", int(request["percent"])),
+            "override": self._set_override,
             "mode": lambda request: setattr(simulation.arm, "mode", RobotMode(request["mode"])),
             "pendant": lambda request: setattr(simulation.arm, "pendant_enabled", bool(request["on"])),
         }
@@ -85,6 +86,12 @@ class Control:
 
     def _set_stream(self, name: str, value: bool) -> None:
         setattr(self._simulation.stream, name, value)
+
+    def _set_override(self, request: dict[str, Any]) -> None:
+        percent = int(request["percent"])
+        if not 1 <= percent <= _FULL_PERCENT:
+            raise RequestError(f"percent must be 1 to {_FULL_PERCENT}")
+        self._simulation.arm.override_percent = percent
 
     def _drop_part(self, _request: dict[str, Any]) -> None:
         """Let the held part slip: it is moved out of the jaws, down and aside."""

@@ -13,12 +13,16 @@ from srvs_cell.geometry import axis_rotation
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from drivers.sim.gripper_geometry import GripperGeometry
     from srvs_cell.geometry import Array
 
 MIN_PARTS, MAX_PARTS = 1, 10
-_LAYOUT_TRIES = 400
-_PART_TRIES = 300
+_SHAPE_TRIES = 100
+_LAYOUT_TRIES = 60
+_CANDIDATES = 400
+_DIRECTIONS = 360
 _CROWDED_FROM = 7
 """From this many parts on only slender ones fit the table with room for the fingers."""
 
@@ -32,26 +36,30 @@ class ScenarioParameters:
     """What a table may look like, lengths in millimetres.
 
     Attributes:
-        x_mm, y_mm: where centres of parts may be, base frame.
+        view_centre_mm: x and y of the middle of what the camera sees, base frame.
+        view_half_mm: half of what both pictures show at the height of the highest top; every part stays inside it at
+            every place.
         height_mm: least and greatest height.
         width_mm: least and greatest narrow side.
         length_mm: least and greatest long side.
         height_step_mm: least difference of two heights, except for ties.
         tie_mm: greatest difference of the two heights of a tie.
         gap_mm: least free distance between fully open fingers, or a part, and any other part at any place.
+        y_step_mm: least difference of two places in y: which place has the larger y must be plain to see.
         table_albedo: reflectance of the table.
         albedo: ranges of the parts' reflectance: unlike the lit table's, and unlike that of its shadows.
         label_share: share of parts with a printed top.
     """
 
-    x_mm: tuple[float, float] = (640.0, 860.0)
-    y_mm: tuple[float, float] = (-150.0, 150.0)
+    view_centre_mm: tuple[float, float] = (750.0, 0.0)
+    view_half_mm: tuple[float, float] = (135.0, 166.0)
     height_mm: tuple[float, float] = (15.0, 110.0)
     width_mm: tuple[float, float] = (25.0, 55.0)
     length_mm: tuple[float, float] = (30.0, 70.0)
     height_step_mm: float = 5.0
     tie_mm: float = 1.0
     gap_mm: float = 5.0
+    y_step_mm: float = 8.0
     table_albedo: float = 0.42
     albedo: tuple[tuple[float, float], ...] = ((0.24, 0.32), (0.52, 0.62), (0.62, 0.74), (0.74, 0.85))
     label_share: float = 0.35
@@ -76,7 +84,7 @@ def make_scenario(
         raise ScenarioError(f"{count} parts: {MIN_PARTS} to {MAX_PARTS} fit the table")
     parameters = parameters or ScenarioParameters()
     random = np.random.default_rng([seed, count])
-    for _ in range(_LAYOUT_TRIES):
+    for _ in range(_SHAPE_TRIES):
         shapes = _shapes(count, random, parameters, ties=ties)
         parts = _lay_out(shapes, random, gripper, parameters)
         if parts is not None:
@@ -140,42 +148,43 @@ def _lay_out(
     shapes: Sequence[Part], random: np.random.Generator, gripper: GripperGeometry, parameters: ScenarioParameters
 ) -> tuple[Part, ...] | None:
     """Place one part after the other where everybody fits beside everybody; None where there is no room."""
-    reach = _reaches_mm(shapes, gripper)
-    placed: list[Part] = []
-    for part in shapes:
-        for _ in range(_PART_TRIES):
-            at = np.array([random.uniform(*parameters.x_mm), random.uniform(*parameters.y_mm)])
-            if all(_clear(at - (other.x_mm, other.y_mm), reach, parameters.gap_mm) for other in placed):
-                placed.append(replace(part, x_mm=float(at[0]), y_mm=float(at[1])))
+    least_mm = _least_distances_mm(shapes, gripper) + parameters.gap_mm
+    widest_mm = max(float(np.linalg.norm(part.outline_mm(), axis=1).max()) for part in shapes)
+    centre, half = np.array(parameters.view_centre_mm), np.array(parameters.view_half_mm) - widest_mm
+    for _ in range(_LAYOUT_TRIES):
+        placed: list[Array] = []
+        for _ in shapes:
+            candidates = random.uniform(centre - half, centre + half, (_CANDIDATES, 2))
+            for other in placed:
+                candidates = candidates[_clear(candidates - other, least_mm, parameters.y_step_mm)]
+            if not len(candidates):
                 break
+            placed.append(candidates[0])
         else:
-            return None
-    return tuple(placed)
+            return tuple(
+                replace(part, x_mm=float(x), y_mm=float(y)) for part, (x, y) in zip(shapes, placed, strict=True)
+            )
+    return None
 
 
-@dataclass(frozen=True)
-class _Reaches:
-    """For 180 directions of displacement, how near two places may be for all pairs of parts."""
-
-    least_mm: Array
-
-
-def _reaches_mm(shapes: Sequence[Part], gripper: GripperGeometry) -> _Reaches:
-    """Return the least distance of two places for each direction of 1 degree.
+def _least_distances_mm(shapes: Sequence[Part], gripper: GripperGeometry) -> Array:
+    """Return the least distance of two places for each direction of 1 degree, shape (360,).
 
     Any part may come to stand at any place, so the least distance is the largest one over all ordered pairs of parts:
     part and open fingers of the one against the part of the other.
     """
     bodies = [[part.footprint_mm(), *_fingers_mm(part, gripper)] for part in shapes]
-    angle = np.deg2rad(np.arange(360.0))
+    angle = np.deg2rad(np.arange(_DIRECTIONS))
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    least = np.zeros(360)
+    least = np.zeros(_DIRECTIONS)
     for i, own in enumerate(bodies):
         for j, other in enumerate(bodies):
             if i != j:
                 for piece in own:
                     least = np.maximum(least, _touching_mm(piece, other[0], direction))
-    return _Reaches(np.maximum(least, np.roll(least, 180)))
+    either = np.maximum(least, np.roll(least, _DIRECTIONS // 2))
+    # a direction between two whole degrees
+    return np.maximum(either, np.maximum(np.roll(either, 1), np.roll(either, -1)))
 
 
 def _fingers_mm(part: Part, gripper: GripperGeometry) -> list[Array]:
@@ -204,8 +213,9 @@ def _touching_mm(a: Array, b: Array, direction: Array) -> Array:
     return np.asarray(np.maximum(leave.min(axis=1), 0.0))
 
 
-def _clear(displacement_mm: Array, reach: _Reaches, gap_mm: float) -> bool:
-    distance = float(np.hypot(*displacement_mm))
-    at = int(np.rad2deg(np.arctan2(displacement_mm[1], displacement_mm[0]))) % 360
-    nearby = reach.least_mm[[(at - 1) % 360, at, (at + 1) % 360]]
-    return distance >= float(nearby.max()) + gap_mm
+def _clear(displacement_mm: Array, least_mm: Array, y_step_mm: float) -> NDArray[np.bool_]:
+    """Return which displacements (N, 2) of one place from another leave enough room."""
+    distance = np.hypot(displacement_mm[:, 0], displacement_mm[:, 1])
+    degree = np.rad2deg(np.arctan2(displacement_mm[:, 1], displacement_mm[:, 0])).astype(int) % _DIRECTIONS
+    clear: NDArray[np.bool_] = (distance >= least_mm[degree]) & (np.abs(displacement_mm[:, 1]) >= y_step_mm)
+    return clear
