@@ -20,13 +20,15 @@ _QUARTER_DEG = 90.0
 _HALF_TURN_DEG = 180.0
 
 
-def tool_rotation_deg(grasp_yaw_deg: float, jaw_axis: str, present_r_deg: float) -> float:
-    """Return the R that closes the jaws along a yaw, of the two possible ones the nearer to the present R.
+def tool_rotation_deg(grasp_yaw_deg: float, jaw_axis: str, observe_r_deg: float) -> float:
+    """Return the R that closes the jaws along a yaw, of the two possible ones the nearer to the observe pose's R.
+
+    Nearer to the *present* R would wind up the wrist over many picks until a joint limit stops the arm.
 
     With the tool down, the TCP's x axis has the yaw R and its y axis the yaw R - 90.
     """
     r_deg = grasp_yaw_deg if jaw_axis == "x" else grasp_yaw_deg + _QUARTER_DEG
-    return present_r_deg + wrap_angle_deg(r_deg - present_r_deg, _HALF_TURN_DEG)
+    return observe_r_deg + wrap_angle_deg(r_deg - observe_r_deg, _HALF_TURN_DEG)
 
 
 @dataclass(frozen=True)
@@ -87,10 +89,10 @@ def travel_height_mm(table_z_mm: float, tallest_mm: float, clearance_mm: float, 
     return table_z_mm + tallest_mm + hang_mm + clearance_mm
 
 
-def grasp_pose(grasp: Grasp, offset_mm: tuple[float, float], motion: MotionParameters, present: Xyzwpr) -> Xyzwpr:
+def grasp_pose(grasp: Grasp, offset_mm: tuple[float, float], motion: MotionParameters, observe: Xyzwpr) -> Xyzwpr:
     """Return the TCP pose of a grasp whose workpiece has meanwhile been moved by ``offset_mm``."""
     x_mm, y_mm, z_mm = grasp.position_mm
-    r_deg = tool_rotation_deg(grasp.yaw_deg, motion.jaw_axis, present.r_deg)
+    r_deg = tool_rotation_deg(grasp.yaw_deg, motion.jaw_axis, observe.r_deg)
     return Xyzwpr(x_mm + offset_mm[0], y_mm + offset_mm[1], z_mm, _TOOL_DOWN_W_DEG, 0.0, r_deg)
 
 

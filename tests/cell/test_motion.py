@@ -55,7 +55,7 @@ def test_a_held_part_passes_above_the_tallest() -> None:
     assert travel_height_mm(10.0, 60.0, 30.0, hang_mm=40.0) == 140.0
 
 
-def test_the_tool_turns_the_short_way() -> None:
+def test_the_tool_never_turns_more_than_a_quarter_from_the_observe_pose() -> None:
     grasp = Grasp((0.0, 0.0, 10.0), 0.0, 30.0)
     turned = Xyzwpr(0.0, 0.0, 0.0, 180.0, 0.0, -80.0)
     assert grasp_pose(grasp, (0.0, 0.0), MotionParameters(), turned).r_deg == pytest.approx(-90.0)
