@@ -47,7 +47,7 @@ class Lighting:
     fill: float = 0.22
     ambient: float = 0.24
     fill_direction: tuple[float, float, float] = (0.35, -0.45, 0.82)
-    exposure: float = 1.15
+    exposure: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
