@@ -146,7 +146,7 @@ def evaluate(folder: Path, scenes: Sequence[str], pictures: Path | None = None) 
             name = scene.replace("/", "-")
             cv2.imwrite(str(pictures / f"{name}-matches.png"), draw_matches(perception))
             true = [tuple(one["position_mm"]) for one in truth["objects"]]
-            cv2.imwrite(str(pictures / f"{name}-locations.png"), draw_locations(perception, true))
+            cv2.imwrite(str(pictures / f"{name}-locations.png"), draw_locations(perception.workpieces, true))
     return results
 
 

@@ -90,7 +90,7 @@ def _run(parameters: SimulationParameters, arguments: argparse.Namespace) -> int
         write_calibration(simulation.camera, calibration_path)
         controller = ModbusController(simulation.arm, simulation.time, arguments.modbus_port)
         camera_server = CameraServer(simulation.stream, simulation.pictures, simulation.time)
-        control_server = ControlServer(Control(simulation, camera_server, ended.set))
+        control_server = ControlServer(Control(simulation, controller, camera_server, ended.set))
         stack.callback(simulation.time.close)
         simulation.time.start()
         stack.callback(camera_server.close)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 
+from drivers.sim.modbus_server import WireFault
 from drivers.sim.truth import truth
 from srvs_cell.ports import RobotMode
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from drivers.sim.camera_server import CameraServer
+    from drivers.sim.modbus_controller import ModbusController
     from drivers.sim.simulation import Simulation
 
 _ESTOP: Final = "SRVO-001 Operator panel E-stop"
@@ -35,12 +37,19 @@ class Control:
 
     Args:
         simulation: the cell.
+        controller: its robot controller.
         camera_server: its camera.
         shutdown: ends the simulator.
     """
 
-    def __init__(self, simulation: Simulation, camera_server: CameraServer, shutdown: Callable[[], None]) -> None:
-        self._simulation, self._camera_server, self._shutdown = simulation, camera_server, shutdown
+    def __init__(
+        self,
+        simulation: Simulation,
+        controller: ModbusController,
+        camera_server: CameraServer,
+        shutdown: Callable[[], None],
+    ) -> None:
+        self._simulation, self._controller, self._shutdown = simulation, controller, shutdown
         self._faults: dict[str, Callable[[dict[str, Any]], None]] = {
             "e_stop": lambda _: simulation.arm.raise_fault(_ESTOP, servo_off=True),
             "arm_fault": lambda request: simulation.arm.raise_fault(str(request.get("text", _FAULT))),
@@ -53,6 +62,12 @@ class Control:
             "mode": lambda request: setattr(simulation.arm, "mode", RobotMode(request["mode"])),
             "pendant": lambda request: setattr(simulation.arm, "pendant_enabled", bool(request["on"])),
         }
+        self._wire_faults: dict[str, Callable[[dict[str, Any]], None]] = {
+            "wire": lambda request: setattr(controller.server, "fault", WireFault[str(request["kind"]).upper()]),
+            "wire_cut": lambda _: controller.server.cut(),
+            "heartbeat": lambda request: setattr(controller, "heartbeat_frozen", not request["on"]),
+            "reboot": lambda _: controller.reboot(),
+        }
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Return the answer to a request.
@@ -62,13 +77,9 @@ class Control:
         """
         operation = request.get("op")
         if operation == "truth":
-            return truth(self._simulation)
+            return {**truth(self._simulation), "motions_started": self._controller.motions_started}
         if operation == "inject":
-            fault = self._faults.get(str(request.get("fault")))
-            if fault is None:
-                raise RequestError(f"fault must be one of {', '.join(self._faults)}")
-            with self._simulation.time.lock:
-                fault(request)
+            self._inject(str(request.get("fault")), request)
             return {"ok": True, "time_s": self._simulation.time.now_s()}
         if operation == "render":
             return {"png": self._render()}
@@ -76,6 +87,15 @@ class Control:
             self._shutdown()
             return {"ok": True}
         raise RequestError("op must be truth, inject, render or shutdown")
+
+    def _inject(self, name: str, request: dict[str, Any]) -> None:
+        if name in self._wire_faults:  # the controller has a lock of its own, which it takes before the world's
+            self._wire_faults[name](request)
+        elif name in self._faults:
+            with self._simulation.time.lock:
+                self._faults[name](request)
+        else:
+            raise RequestError(f"fault must be one of {', '.join([*self._faults, *self._wire_faults])}")
 
     def _render(self) -> str:
         exposure = self._simulation.view_now()

@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
+import numpy as np
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cli.simulated_cell import SimulationOptions, SimulatorControl, simulated_cell
+from srvs_cell.scene import Workpiece
 from srvs_cell.service.grading import Goal, Grade, TruePart, grade
 from srvs_cell.service.pictures import PlanArrow, PlanPart, draw_plan
 from srvs_cell.service.report import Figure, Report, compare, part_rows, render_report
+from srvs_cell.vision.overlay import draw_locations
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -188,6 +191,23 @@ def _plan_part(workpiece: Mapping[str, Any]) -> PlanPart:
     )
 
 
+def _workpiece(seen: Mapping[str, Any]) -> Workpiece:
+    """Return a perceived workpiece of the run's JSON, as far as a picture needs it."""
+    x, y, z = seen["position_mm"]
+    return Workpiece(
+        id=seen["id"],
+        kind=seen["kind"],
+        position_mm=(x, y, z),
+        height_mm=seen["height_mm"],
+        yaw_deg=seen["yaw_deg"],
+        size_mm=tuple(seen["size_mm"]),
+        covariance_mm2=np.array(seen["covariance_mm2"]),
+        footprint_mm=np.array(seen["footprint_mm"]),
+        surfaces=tuple(seen["surfaces"]),
+        grasp=None,
+    )
+
+
 def _write_report(
     options: DemoOptions,
     result: Mapping[str, Any],
@@ -198,18 +218,13 @@ def _write_report(
 ) -> None:
     out = options.out
     cv2.imwrite(str(out / "plan.png"), draw_plan(parts, moves))
-    figures = [
-        figure
-        for source, name, caption in (
-            (
-                "planes_0.png",
-                "planes.png",
-                "Left and right image with the matched planes numbered (as the paper's Fig. 6)",
-            ),
-            ("locations_0.png", "locations.png", "Three-dimensional locations (as the paper's Fig. 7)"),
-        )
-        if (figure := _copied(run, source, out, name, caption))
-    ]
+    caption = "Left and right image with the matched planes numbered (as the paper's Fig. 6)"
+    planes = _copied(run, "planes_0.png", out, "planes.png", caption)
+    figures = [planes] if planes else []
+    seen = [_workpiece(w) for w in result["workpieces"]]
+    true_mm = [part.part.position_mm for part in verdict.parts]
+    cv2.imwrite(str(out / "locations.png"), draw_locations(seen, true_mm))
+    figures.append(Figure("locations.png", "Three-dimensional locations against the truth (as the paper's Fig. 7)"))
     figures.append(Figure("plan.png", "The plan, seen from above: parts with number and height, moves in order"))
     last = max((int(p.stem.split("_")[1]) for p in run.glob("left_*.png")), default=0) if run else 0
     before_after = [

@@ -71,4 +71,4 @@ def _perceive(config: CellConfig, calibration: Calibration, look: StereoLook) ->
 
 def _pictures(perception: Perception) -> dict[str, NDArray[np.uint8]]:
     """Return the paper's Fig. 6 and Fig. 7 of a look."""
-    return {"planes": draw_matches(perception), "locations": draw_locations(perception)}
+    return {"planes": draw_matches(perception), "locations": draw_locations(perception.workpieces)}

@@ -65,18 +65,17 @@ def draw_matches(perception: Perception) -> Picture:
     return np.hstack([halves[0], gap, halves[1]])
 
 
-def draw_locations(perception: Perception, truth_positions_mm: Sequence[Point3] | None = None) -> Picture:
+def draw_locations(workpieces: Sequence[Workpiece], truth_positions_mm: Sequence[Point3] | None = None) -> Picture:
     """Draw where the workpieces are: from above (x, y), from the side (x, z), and as a list, millimetres.
 
     Args:
-        perception: what one stereo pair told.
+        workpieces: what was recognised; each is labelled with its id.
         truth_positions_mm: true positions in the base frame, drawn as crosses where they are known.
 
     Returns:
         BGR, uint8.
     """
     truth = np.array(truth_positions_mm or [], dtype=np.float64).reshape(-1, 3)
-    workpieces = perception.workpieces
     table_mm = _table_mm(workpieces)
     points = np.concatenate([_extent(workpieces, table_mm), truth]) if workpieces or len(truth) else np.zeros((1, 3))
     low, high = points.min(axis=0) - _PADDING_MM, points.max(axis=0) + _PADDING_MM
@@ -94,7 +93,7 @@ def draw_locations(perception: Perception, truth_positions_mm: Sequence[Point3] 
         for view, picture, axes in ((above, picture_above, (0, 1)), (beside, picture_beside, (0, 2))):
             centre = view.pixels(position[None, axes])[0]
             _dot(picture, centre)
-            _label(picture, str(workpiece.id + 1), centre + np.array(_LABEL_OFFSET_PX), colour)
+            _label(picture, str(workpiece.id), centre + np.array(_LABEL_OFFSET_PX), colour)
     for position in truth:
         for view, picture, axes in ((above, picture_above, (0, 1)), (beside, picture_beside, (0, 2))):
             x, y = np.rint(view.pixels(position[None, axes])[0]).astype(int)
@@ -240,7 +239,7 @@ def _list(workpieces: Sequence[Workpiece], *, truth: bool, height: int) -> Pictu
         x_mm, y_mm, z_mm = workpiece.position_mm
         yaw = "-" if workpiece.yaw_deg is None else f"{workpiece.yaw_deg:.1f}"
         values = (workpiece.kind, f"{x_mm:.1f}", f"{y_mm:.1f}", f"{z_mm:.1f}", f"{workpiece.height_mm:.1f}", yaw)
-        _label(picture, str(workpiece.id + 1), np.array([24.0, y - 5.0]), _colour(workpiece.id + 1))
+        _label(picture, str(workpiece.id), np.array([24.0, y - 5.0]), _colour(workpiece.id + 1))
         for (x, _), value in zip(_LIST_COLUMNS[1:], values, strict=True):
             _text(picture, value, (x, y), _INK, 0.45)
     if truth:

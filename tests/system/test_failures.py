@@ -67,10 +67,19 @@ def test_killed_in_mid_job_it_never_sends_a_move_again(cell: SimulatedCell) -> N
 
 def test_a_cut_wire_ends_in_a_named_alarm_and_aborted(cell: SimulatedCell) -> None:
     start_until_holding(cell)
-    cell.control.ask("inject", fault="modbus_cut")
+    cell.control.ask("inject", fault="wire_cut")
     status = follow(cell, lambda status: status["state"] == "Aborted")
     assert codes(status) & {1003, 2004}
-    assert cell.control.ask("truth")["arm"]["moving"] is False or status["gripper"]["knowledge"] != "empty"
+    assert status["gripper"]["knowledge"] != "empty", "a part was held when the wire was cut"
+
+
+def test_a_controller_that_falls_silent_in_mid_move_is_not_told_again(cell: SimulatedCell) -> None:
+    start_until_holding(cell)
+    motions = cell.control.ask("truth")["motions_started"]
+    cell.control.ask("inject", fault="wire", kind="silent")
+    status = follow(cell, lambda status: status["state"] == "Aborted")
+    assert codes(status) & {1002, 1003, 1004, 2004}
+    assert cell.control.ask("truth")["motions_started"] <= motions + 1
 
 
 def test_a_camera_that_stops_ends_in_held(cell: SimulatedCell) -> None:

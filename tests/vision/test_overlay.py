@@ -59,9 +59,9 @@ def test_small_images_are_enlarged() -> None:
 
 
 def test_locations_show_workpieces_and_truth(perception: Perception) -> None:
-    plain = draw_locations(perception)
+    plain = draw_locations(perception.workpieces)
     true = [(part.face.x_mm, part.face.y_mm, part.face.z_mm) for part in PARTS]
-    with_truth = draw_locations(perception, true)
+    with_truth = draw_locations(perception.workpieces, true)
     assert colourfulness(plain) > 1.0
     assert plain.shape == with_truth.shape
     assert not np.array_equal(plain, with_truth)
@@ -69,5 +69,5 @@ def test_locations_show_workpieces_and_truth(perception: Perception) -> None:
 
 def test_an_empty_table_can_be_drawn(perception: Perception) -> None:
     nothing = Perception(perception.left, perception.right, (), perception.disparity_px, (), (), {})
-    assert draw_locations(nothing).dtype == np.uint8
+    assert draw_locations(nothing.workpieces).dtype == np.uint8
     assert colourfulness(draw_matches(nothing)) == 0.0
