@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from srvs_cell.config import CellConfig, DeviceConfig
-    from srvs_cell.ports import Camera, Clock, Gripper, RobotArm
+    from srvs_cell.ports import Camera, Clock, Device, Gripper, RobotArm
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,10 @@ class Devices:
     camera: Camera
     arm: RobotArm
     gripper: Gripper
+
+    def named(self) -> tuple[tuple[str, Device], ...]:
+        """Return camera, arm and gripper with what people call them."""
+        return ("camera", self.camera), ("arm", self.arm), ("gripper", self.gripper)
 
 
 def make_devices(config: CellConfig) -> Devices:

@@ -59,12 +59,21 @@ class Step(Protocol):
         """Which step it is."""
         ...
 
+    @property
+    def verifying(self) -> bool:
+        """Whether it belongs to the look after a relocation: starting over then ends in a verification, not a plan."""
+        ...
+
     async def run(self, job: Job) -> Outcome:
         """Do the step; raises `AlarmError` where it cannot be done."""
         ...
 
-    def reobserve(self) -> Sequence[Step]:
-        """Return the whole queue that starts over from looking, in place of this step and all that follow it."""
+
+class StartOver(Protocol):
+    """Makes the whole queue that starts over from looking."""
+
+    def __call__(self, *, verifying: bool) -> Sequence[Step]:
+        """Return the steps; with a verification at their end, or a plan."""
         ...
 
 
@@ -158,6 +167,7 @@ class Job:
         manipulator: Manipulator,
         steps: Sequence[Step],
         *,
+        start_over: StartOver,
         run: int,
         folder: Path,
         dry_run: bool,
@@ -178,6 +188,7 @@ class Job:
         self.offsets_mm: dict[int, Point2] = {}
         self.finish = False
         self._steps: deque[Step] = deque(steps)
+        self._start_over = start_over
         self._attempts: Counter[tuple[StepName, Alarm]] = Counter()
         self._on_change = on_change
         self.warn = warn
@@ -259,7 +270,7 @@ class Job:
             if recovery is Recovery.RETRY:
                 self._steps.appendleft(step)
             elif recovery is Recovery.REOBSERVE:
-                self._steps = deque(step.reobserve())
+                self._steps = deque(self._start_over(verifying=step.verifying))
             else:
                 return JobEnd(End.FAILED, recovery, error)
             return None

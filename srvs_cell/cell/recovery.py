@@ -10,6 +10,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, Reaction
+from srvs_cell.cell.packml import Command
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -53,6 +54,13 @@ _OF_REACTION = {
 }
 """An alarm that ends a step and says nothing more severe holds the cell: a step without result cannot be skipped."""
 
+_COMMANDS: dict[Recovery, tuple[Command, ...]] = {
+    Recovery.SUSPEND: (Command.SUSPEND, Command.HOLD, Command.STOP, Command.ABORT),
+    Recovery.HOLD: (Command.HOLD, Command.STOP, Command.ABORT),
+    Recovery.STOP: (Command.STOP, Command.ABORT),
+    Recovery.ABORT: (Command.ABORT,),
+}
+
 _OBSERVING = frozenset({StepName.OBSERVE_LEFT, StepName.OBSERVE_RIGHT})
 _CAMERA_TROUBLE = frozenset({Alarm.CAMERA_TIMEOUT, Alarm.CAMERA_STALE})
 _BEFORE_ANY_GRIP = frozenset({StepName.PERCEIVE, StepName.PLAN})
@@ -81,3 +89,8 @@ def decide(
     if step is StepName.VERIFY and alarm is Alarm.VERIFY_FAILED and before < retries.verify:
         return Recovery.REOBSERVE
     return _OF_REACTION[alarm.reaction]
+
+
+def commands_after(alarm: Alarm) -> tuple[Command, ...]:
+    """Return the command that an alarm leads to, and more severe ones to stand in where it is not valid."""
+    return _COMMANDS[_OF_REACTION[alarm.reaction]]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.cell import Command, Mode, State
+from srvs_cell.cell import Command, Mode, State, Unit
 from srvs_cell.ports import CommandRejectedError, DeviceFaultError, NotConnectedError, OutcomeUnknownError, RobotMode
 from tests.cell.support import Cell, build, connected, in_step, running, seen
 
@@ -31,7 +31,7 @@ async def run_to_end(cell: Cell) -> str:
 
 
 def replace_equipment(cell: Cell, **changes: object) -> None:
-    cell.unit.equipment = replace(cell.unit.equipment, **changes)  # type: ignore[arg-type]
+    cell.unit = Unit(replace(cell.unit.equipment, **changes), simulation=True)  # type: ignore[arg-type]
 
 
 # -- camera ---------------------------------------------------------------------------------------------------------

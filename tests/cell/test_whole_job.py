@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srvs_cell.cell import Command
+from srvs_cell.cell import Command, Unit
 from tests.cell.support import build, connected, running
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ async def test_the_left_image_is_worked_on_while_the_arm_travels(tmp_path: Path)
         looks.append((look.early, int(look.left[0, 0]), int(look.right[0, 0])))
         return equipment.perceive(look)
 
-    cell.unit.equipment = replace(equipment, analyse_left=analyse, perceive=perceive)
+    cell.unit = Unit(replace(equipment, analyse_left=analyse, perceive=perceive), simulation=True)
     async with running(cell):
         await connected(cell)
         await cell.start()

@@ -1,0 +1,131 @@
+"""The steps that grip: take a workpiece, put it down, deliver one that was held through a stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.cell.interlocks import check_certainty
+from srvs_cell.cell.job import Job, Outcome
+from srvs_cell.cell.motion import Approach, grasp_pose, held_part, travel_height_mm
+from srvs_cell.cell.recovery import StepName
+from srvs_cell.ports import GripState
+
+if TYPE_CHECKING:
+    from srvs_cell.geometry import Xyzwpr
+    from srvs_cell.planning import CellMove
+    from srvs_cell.scene import Workpiece
+
+
+@dataclass(frozen=True)
+class Deliver:
+    """Put a part that was held through a stop where it belongs. New moves, never the interrupted one."""
+
+    name: StepName = StepName.DELIVER
+    verifying: ClassVar[bool] = False
+
+    async def run(self, job: Job) -> Outcome:
+        """Put the held part down."""
+        await job.manipulator.confirm_holding()
+        part = job.manipulator.hand.held
+        if part is None:
+            raise AlarmError(Alarm.GRIPPER_OCCUPIED, "It is not known where the held part belongs.")
+        height_mm = job.equipment.parameters.look.observe_pose.pose().z_mm
+        await _put_down(job, part.place, height_mm, height_mm)
+        return Outcome({"workpiece": part.workpiece, "place": list(part.place.as_tuple())})
+
+
+@dataclass(frozen=True)
+class Pick:
+    """Take a workpiece: above it, slowly down, close, confirm, slowly up. In a dry run: above it."""
+
+    workpiece: Workpiece
+    move: CellMove
+    name: StepName = StepName.PICK
+    verifying: ClassVar[bool] = False
+
+    async def run(self, job: Job) -> Outcome:
+        """Pick; raises GRIP_EMPTY where nothing was there."""
+        workpiece, arm, motion = self.workpiece, job.manipulator, job.equipment.parameters.motion
+        if workpiece.grasp is None:
+            raise AlarmError(Alarm.PLAN_INFEASIBLE, f"Workpiece {workpiece.id}: {workpiece.grasp_refusal}.")
+        check_certainty(workpiece, job.equipment.parameters.tolerance)
+        offset_mm = job.offsets_mm.get(workpiece.id, (0.0, 0.0))
+        at = grasp_pose(workpiece.grasp, offset_mm, motion, job.equipment.parameters.look.observe_pose.pose())
+        part = held_part(workpiece, self.move, at, job.equipment.parameters.table_z_mm, motion)
+        way = Approach.of(at, _travel_z_mm(job), motion.approach_mm)
+        evidence: dict[str, object] = {"workpiece": workpiece.id, "kind": workpiece.kind, "grasp": list(at.as_tuple())}
+        await arm.move_linear(way.above, motion.travel_speed_mm_s, "above the workpiece")
+        if job.dry_run:
+            return Outcome(evidence)
+        if await job.equipment.devices.gripper.state() is not GripState.OPEN:
+            await arm.open("open before the pick")
+        if way.near != way.above:
+            await arm.move_linear(way.near, motion.travel_speed_mm_s, "approach")
+        await arm.move_linear(way.at, motion.approach_speed_mm_s, "down to the workpiece")
+        try:
+            await arm.close(part)
+        except AlarmError as error:
+            if error.alarm is Alarm.GRIP_EMPTY:
+                await arm.open("open after an empty grip")
+                await arm.move_linear(way.above, motion.approach_speed_mm_s, "up from an empty grip")
+            raise
+        await arm.move_linear(way.near, motion.approach_speed_mm_s, "up with the workpiece")
+        lifted = replace(way.above, z_mm=max(way.near.z_mm, _travel_z_mm(job, part.hang_mm)))
+        await arm.move_linear(lifted, motion.travel_speed_mm_s, "to travel height")
+        await arm.confirm_holding()
+        return Outcome(evidence)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Put the held workpiece down: above the place, slowly down, open, confirm, up. In a dry run: above it."""
+
+    move: CellMove
+    name: StepName = StepName.PLACE
+    verifying: ClassVar[bool] = False
+
+    async def run(self, job: Job) -> Outcome:
+        """Place; raises GRIP_LOST where the part was lost on the way."""
+        arm, move = job.manipulator, self.move
+        if job.dry_run:
+            target = replace(
+                await arm.pose(), x_mm=move.to_mm[0], y_mm=move.to_mm[1], z_mm=_travel_z_mm(job)
+            )  # fmt: skip
+            await arm.move_linear(target, job.equipment.parameters.motion.travel_speed_mm_s, "above the place")
+        else:
+            part = arm.hand.held
+            if part is None:
+                raise AlarmError(Alarm.GRIP_LOST, f"Workpiece {move.workpiece} is not in the gripper.")
+            await _put_down(job, part.place, _travel_z_mm(job, part.hang_mm), _travel_z_mm(job))
+        x_mm, y_mm = job.offsets_mm.get(move.workpiece, (0.0, 0.0))
+        job.offsets_mm[move.workpiece] = (
+            x_mm + move.to_mm[0] - move.from_mm[0],
+            y_mm + move.to_mm[1] - move.from_mm[1],
+        )
+        job.progress.moves_done += 1
+        job.progress.moves_left -= 1
+        return Outcome({"workpiece": move.workpiece, "to_mm": list(move.to_mm)})
+
+
+def _travel_z_mm(job: Job, hang_mm: float = 0.0) -> float:
+    parameters = job.equipment.parameters
+    tallest_mm = max((workpiece.height_mm for workpiece in job.progress.workpieces), default=0.0)
+    return travel_height_mm(parameters.table_z_mm, tallest_mm, parameters.motion.clearance_mm, hang_mm)
+
+
+async def _put_down(job: Job, place: Xyzwpr, loaded_z_mm: float, free_z_mm: float) -> None:
+    """Carry the held part to a place at one height, let it go and leave at another."""
+    arm, motion = job.manipulator, job.equipment.parameters.motion
+    way = Approach.of(place, loaded_z_mm, motion.approach_mm)
+    await arm.move_linear(way.above, motion.travel_speed_mm_s, "above the place")
+    await arm.confirm_holding()
+    if way.near != way.above:
+        await arm.move_linear(way.near, motion.travel_speed_mm_s, "approach")
+    await arm.move_linear(way.at, motion.approach_speed_mm_s, "down to the place")
+    await arm.open("let go")
+    job.progress.last_release_s = job.equipment.devices.clock.now_s()
+    leave = Approach.of(place, free_z_mm, motion.approach_mm)
+    await arm.move_linear(leave.near, motion.approach_speed_mm_s, "up from the place")
+    await arm.move_linear(leave.above, motion.travel_speed_mm_s, "to travel height")
