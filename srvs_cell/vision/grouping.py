@@ -321,6 +321,6 @@ def _shifted(mask: NDArray[np.bool_], plane: DisparityPlane) -> NDArray[np.bool_
 
 def _renumbered(before: NDArray[np.int32], after: NDArray[np.int32]) -> dict[int, int]:
     """Return old label -> new label of the planes that were kept."""
-    kept = after > 0
-    pairs = np.unique(np.column_stack([before[kept], after[kept]]), axis=0)
-    return {int(old): int(new) for old, new in pairs}
+    new_of_old = np.zeros(int(before.max()) + 1, dtype=np.int32)
+    new_of_old[before] = after
+    return {int(old): int(new_of_old[old]) for old in np.flatnonzero(new_of_old)}

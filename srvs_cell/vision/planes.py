@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from srvs_cell.scene import Plane
+from srvs_cell.vision.runs import RowRuns
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,28 +35,26 @@ def measure_planes(
     Returns:
         Labels 1 to N of the N planes, and the planes.
     """
-    present = np.bincount(labels.ravel()) > 0
-    present[0] = True
-    compact = (np.cumsum(present) - 1).astype(np.int32)[labels]
-    count = int(compact.max()) + 1
-    flat = compact.ravel()
-    rows, columns = np.indices(labels.shape)
-    area = np.bincount(flat, minlength=count).astype(np.float64)
+    runs = RowRuns.of(labels)
+    count = int(labels.max()) + 1
+    length = runs.length
+    area = np.bincount(runs.label, weights=length)
     safe_area = np.maximum(area, 1.0)
-    centre_x = np.bincount(flat, weights=columns.ravel(), minlength=count) / safe_area
-    centre_y = np.bincount(flat, weights=rows.ravel(), minlength=count) / safe_area
-    brightness = np.bincount(flat, weights=grey.ravel(), minlength=count) / safe_area
-    perimeter = perimeters(compact, count)
-    border_rows, border_columns = np.nonzero(_boundary(compact))
-    owner = compact[border_rows, border_columns]
+    centre_x = np.bincount(runs.label, weights=length * 0.5 * (runs.first + runs.last)) / safe_area
+    centre_y = np.bincount(runs.label, weights=length * runs.row) / safe_area
+    brightness = np.bincount(runs.label, weights=np.add.reduceat(grey.ravel(), runs.start, dtype=np.int64)) / safe_area
+    perimeter = perimeters(labels, count)
+    border = np.flatnonzero(_boundary(labels))
+    border_rows, border_columns = np.divmod(border, labels.shape[1])
+    owner = labels.ravel()[border].astype(np.intp)
     radius = np.hypot(border_columns - centre_x[owner], border_rows - centre_y[owner])
     short_cut = np.full(count, np.inf)
     long_cut = np.zeros(count)
     np.minimum.at(short_cut, owner, radius)
     np.maximum.at(long_cut, owner, radius)
-    boxes = _boxes(border_rows, border_columns, owner, count)
+    boxes = _boxes(runs, count)
     cut_off = np.zeros(count, dtype=np.bool_)
-    cut_off[np.unique(compact[_frame(labels.shape, valid)])] = True
+    cut_off[labels[_frame(labels.shape, valid)]] = True
     good = (
         (area >= parameters.min_area_px)
         & (4.0 * area >= parameters.min_thickness_px * perimeter)
@@ -79,7 +78,7 @@ def measure_planes(
         )
         for k in kept.tolist()
     )
-    return number[compact], planes
+    return np.repeat(number[runs.label], length).reshape(labels.shape), planes
 
 
 def perimeters(labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
@@ -89,9 +88,12 @@ def perimeters(labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
     it passes straight, half a diagonal where it cuts one corner, a diagonal where it cuts two.
     """
     framed = np.pad(labels, 1, constant_values=-1)
-    window = np.stack([framed[:-1, :-1], framed[:-1, 1:], framed[1:, 1:], framed[1:, :-1]], axis=-1)
-    mixed = (window != window[..., :1]).any(axis=-1)
-    corners = window[mixed]
+    across, down = framed[:, 1:] != framed[:, :-1], framed[1:] != framed[:-1]
+    mixed = np.flatnonzero(across[:-1] | across[1:] | down[:, :-1])
+    rows, columns = np.divmod(mixed, across.shape[1])
+    first = rows * framed.shape[1] + columns
+    around = np.array([0, 1, framed.shape[1] + 1, framed.shape[1]])
+    corners = framed.ravel()[first[:, None] + around]
     same = corners[:, :, None] == corners[:, None, :]
     members = same.sum(axis=2)
     opposite = same[:, np.arange(4), (np.arange(4) + 2) % 4]
@@ -113,15 +115,14 @@ def _boundary(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     )
 
 
-def _boxes(
-    rows: NDArray[np.intp], columns: NDArray[np.intp], owner: NDArray[np.int32], count: int
-) -> list[tuple[int, int, int, int]]:
+def _boxes(runs: RowRuns, count: int) -> list[tuple[int, int, int, int]]:
+    """Return each label's bounding box (x, y, width, height)."""
     edges = []
-    for position in (columns, rows):
-        low = np.full(count, np.iinfo(np.int64).max)
+    for first, last in ((runs.first, runs.last), (runs.row, runs.row)):
+        low = np.full(count, np.iinfo(np.intp).max)
         high = np.full(count, -1)
-        np.minimum.at(low, owner, position)
-        np.maximum.at(high, owner, position)
+        np.minimum.at(low, runs.label, first)
+        np.maximum.at(high, runs.label, last)
         edges.append((low, high))
     (x0, x1), (y0, y1) = edges
     return [
