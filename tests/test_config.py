@@ -109,6 +109,21 @@ def test_a_mistake_is_named(path: str, value: object, named: str) -> None:
     assert named in error.detail
 
 
+@pytest.mark.parametrize(("axis", "bound"), [("x", 0), ("x", 1), ("y", 0), ("y", 1)])
+def test_a_buffer_place_must_lie_in_the_workspace(axis: str, bound: int) -> None:
+    workspace = parse_config(SIM, "cell.yaml").cell.workspace
+    ranges_mm = {"x": workspace.x_mm, "y": workspace.y_mm}
+    corners = [[x_mm, y_mm] for x_mm in workspace.x_mm for y_mm in workspace.y_mm]
+    assert len(parse_config(changed("planning.buffer_places_mm", corners), "cell.yaml").planning.buffer_places_mm) == 4
+    outside = [ranges_mm["x"][0], ranges_mm["y"][0]]
+    outside["xy".index(axis)] = ranges_mm[axis][bound] + (0.5 if bound else -0.5)
+    error = refusal(changed("planning.buffer_places_mm", [corners[0], outside]))
+    assert error.alarm is Alarm.CONFIG_INVALID
+    least_mm, greatest_mm = ranges_mm[axis]
+    assert f"planning.buffer_places_mm.1 = {outside}" in error.detail
+    assert f"cell.workspace.{axis}_mm = {least_mm} to {greatest_mm} mm" in error.detail
+
+
 def test_all_mistakes_are_named_at_once() -> None:
     text = changed("cell.look.baseline_mm", -1).replace("jaw_axis: y", "jaw_axis: w")
     detail = refusal(text).detail

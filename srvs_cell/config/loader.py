@@ -154,6 +154,7 @@ def parse_config(text: str, source: str, folder: Path | None = None) -> CellConf
     if not isinstance(data, dict):
         raise AlarmError(Alarm.CONFIG_INVALID, f"{source}: a mapping of keys is expected, got {type(data).__name__}.")
     file = validate(_File, data, source)
+    _check_buffer_places(file, source)
     devices = {role: _device(role, getattr(file.devices, role), source) for role in ROLES}
     service = file.service
     return CellConfig(
@@ -204,6 +205,19 @@ def _device(role: str, section: _DeviceSection, source: str) -> DeviceConfig:
         raise AlarmError(error.alarm, f"{source}: {error.detail}") from error
     settings = validate(spec.config_model, section.model_extra, source, ("devices", role))
     return DeviceConfig(role=role, driver=section.driver, settings=settings, spec=spec)
+
+
+def _check_buffer_places(file: _File, source: str) -> None:
+    """Refuse buffer places that the TCP may not go to; the two keys belong to different rooms."""
+    box = file.cell.workspace
+    for i, place_mm in enumerate(file.planning.buffer_places_mm):
+        for name, value_mm, (least_mm, greatest_mm) in zip("xy", place_mm, (box.x_mm, box.y_mm), strict=True):
+            if not least_mm <= value_mm <= greatest_mm:
+                raise AlarmError(
+                    Alarm.CONFIG_INVALID,
+                    f"{source}: planning.buffer_places_mm.{i} = {list(place_mm)}: {name} = {value_mm} mm is outside "
+                    f"cell.workspace.{name}_mm = {least_mm} to {greatest_mm} mm.",
+                )
 
 
 def _driver_schema(role: str, driver: str, definitions: dict[str, Any]) -> dict[str, Any]:
