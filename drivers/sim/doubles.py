@@ -201,6 +201,13 @@ class _FakeDevice:
         if self.unreachable:
             raise NotConnectedError(Alarm.CONNECTION_LOST, f"The {self.description} does not answer.")
 
+    def check_active(self) -> None:
+        self.check_reachable()
+        if self.lifecycle is not Lifecycle.ACTIVE:
+            raise NotReadyError(
+                Alarm.DEVICE_UNAVAILABLE, f"The {self.description} is {self.lifecycle.value}, not active."
+            )
+
 
 class FakeArm(_FakeDevice):
     """An arm that moves along straight lines.
@@ -290,6 +297,7 @@ class FakeCamera(_FakeDevice):
     Attributes:
         silent: frames that do not come; counts down with each grab.
         frozen: every frame was exposed at this time, if not None.
+        frames: frames that were delivered.
     """
 
     def __init__(self, clock: StepClock, size: tuple[int, int] = (64, 48)) -> None:
@@ -301,13 +309,19 @@ class FakeCamera(_FakeDevice):
         self._clock = clock
 
     async def grab(self, not_before_s: float, timeout_s: float) -> Frame:
-        """Return a grey frame."""
-        self.check_reachable()
-        if self.silent:
-            self.silent -= 1
+        """Return a grey frame; raises CAMERA_TIMEOUT or CAMERA_STALE as a real camera does."""
+        self.check_active()
+        wait_s = max(0.0, not_before_s - self._clock.now_s())
+        if self.silent or (self.frozen is None and wait_s > timeout_s):
+            self.silent = max(0, self.silent - 1)
             await self._clock.sleep(timeout_s)
             raise FrameError(Alarm.CAMERA_TIMEOUT, f"No frame within {timeout_s} s.")
-        await self._clock.sleep(max(0.0, not_before_s - self._clock.now_s()) + _FRAME_TIME_S)
+        if self.frozen is not None and self.frozen < not_before_s:
+            await self._clock.sleep(timeout_s)
+            raise FrameError(
+                Alarm.CAMERA_STALE, f"Every frame was exposed {not_before_s - self.frozen:.3f} s too early."
+            )
+        await self._clock.sleep(wait_s + _FRAME_TIME_S)
         self.frames += 1
         width, height = self.size
         exposed_at_s = self._clock.now_s() if self.frozen is None else self.frozen
@@ -340,7 +354,7 @@ class FakeGripper(_FakeDevice):
 
     async def open(self) -> None:
         """Open and let go."""
-        self.check_reachable()
+        self.check_active()
         await self._clock.sleep(_GRIP_TIME_S)
         self._closed = False
         self._world.release()
@@ -348,7 +362,7 @@ class FakeGripper(_FakeDevice):
 
     async def close(self) -> GripState:
         """Close on what is between the fingers."""
-        self.check_reachable()
+        self.check_active()
         await self._clock.sleep(_GRIP_TIME_S)
         self._closed = True
         if self.misses:

@@ -55,7 +55,7 @@ class _GreyPictures:
 
 
 @contextlib.contextmanager
-def simulated_camera(folder: Path) -> Iterator[tuple[Camera, SimClock]]:
+def simulated_camera(folder: Path) -> Iterator[tuple[Camera, SimClock, CameraStream]]:
     """The frame socket with its lag and its queue, of an empty world."""
     world = _EmptyWorld()
     stream = CameraStream(cast("World", world), _LAG_S, _QUEUE)
@@ -72,7 +72,7 @@ def simulated_camera(folder: Path) -> Iterator[tuple[Camera, SimClock]]:
     time.start()
     try:
         config = CAMERA_DRIVER.config_model.model_validate({"port": server.start(), "timeout_s": 5.0})
-        yield CAMERA_DRIVER.factory(config, DriverContext(clock)), clock
+        yield CAMERA_DRIVER.factory(config, DriverContext(clock)), clock, stream
     finally:
         server.close()
         time.close()

@@ -179,9 +179,23 @@ async def test_a_stop_in_mid_move_ends_it_for_good(b: ArmBench) -> None:
     assert _near(await b.arm.move_linear(b.home, SPEED_MM_S), b.home)
 
 
-async def test_a_stop_with_nothing_under_way_does_no_harm(b: ArmBench) -> None:
+async def test_a_stop_forbids_motion_until_the_arm_is_made_active_again(b: ArmBench) -> None:
+    await b.ready()
+    task = await b.begun_move()
+    await b.arm.request_stop()
+    assert b.arm.lifecycle is Lifecycle.INACTIVE
+    with pytest.raises(MotionStoppedError):
+        await task
+    with pytest.raises(NotReadyError):
+        await b.arm.move_linear(b.home, SPEED_MM_S)
+
+
+async def test_a_stop_with_nothing_under_way_forbids_motion_too(b: ArmBench) -> None:
     await b.ready()
     await b.arm.request_stop()
+    assert b.arm.lifecycle is Lifecycle.INACTIVE
+    with pytest.raises(NotReadyError):
+        await b.arm.move_linear(b.target, SPEED_MM_S)
     await b.arm.activate()
     assert _near(await b.arm.move_linear(b.target, SPEED_MM_S), b.target)
 

@@ -9,7 +9,7 @@ import pytest
 from drivers.gripper.robot_io import RobotIoGripper, RobotIoGripperConfig
 from drivers.sim.doubles import Block, FakeArm, FakeGripper, StepClock, World
 from srvs_cell.geometry import Xyzwpr
-from srvs_cell.ports import Clock, Gripper, GripState, Lifecycle, OutcomeUnknownError
+from srvs_cell.ports import Clock, Gripper, GripState, Lifecycle, NotReadyError, OutcomeUnknownError
 from tests.drivers.fanuc.bench import bench
 from tests.drivers.gripper.valve import CONFIG, Valve
 from tests.drivers.stepped import PointArm, SteppedClock, SteppedTime
@@ -136,3 +136,15 @@ async def test_without_the_sensors_the_outcome_is_unknown(b: GripperBench, actio
     with pytest.raises(OutcomeUnknownError):
         await (b.gripper.open() if action == "open" else b.gripper.close())
     assert b.clock.now_s() > begun_s
+
+
+@pytest.mark.parametrize("action", ["open", "close"])
+async def test_an_inactive_gripper_is_read_but_does_not_act(b: GripperBench, action: str) -> None:
+    await b.gripper.connect()
+    b.put_part()
+    for _ in ("never active", "no longer active"):
+        with pytest.raises(NotReadyError):
+            await (b.gripper.open() if action == "open" else b.gripper.close())
+        assert await b.gripper.state() is GripState.OPEN
+        await b.gripper.activate()
+        await b.gripper.deactivate()
