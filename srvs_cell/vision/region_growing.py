@@ -64,49 +64,57 @@ def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.uint16]:
         Labels 1 and up, uint16, shape (H, W), 0 on edges. Regions beyond the 65535th are left out.
     """
     labels = np.zeros(distance_px.shape, dtype=np.uint16)
-    number = 0
+    # one pixel of every region: growth keeps a region connected, so that it lies in one component of what is in reach
+    seeds = np.zeros(0, dtype=np.intp)
     for radius_px in _LEVELS_PX:
         reach = distance_px >= radius_px
-        count, found = cv2.connectedComponents(reach.astype(np.uint8), connectivity=4)
-        components = np.asarray(found, dtype=np.int32)
-        grown = labels > 0
-        low = np.full(count, _MAX_LABEL, dtype=np.uint16)
-        high = np.zeros(count, dtype=np.uint16)
-        inside = components[grown]
-        np.minimum.at(low, inside, labels[grown])
-        np.maximum.at(high, inside, labels[grown])
+        count, found = cv2.connectedComponents(reach.view(np.uint8), connectivity=4)
+        components = np.asarray(found).ravel()
+        held_by = components[seeds]
+        held = np.bincount(held_by, minlength=count)
         # a component is a new region, or the rest of the one region that it holds, or is shared by several
-        fresh = high == 0
-        fresh[0] = False
-        label = np.where(low == high, low, 0)
-        numbers = number + np.arange(1, np.count_nonzero(fresh) + 1)
-        label[fresh] = np.where(numbers <= _MAX_LABEL, numbers, 0)
-        label[0] = 0
-        number = int(min(number + numbers.size, _MAX_LABEL))
-        labels = np.where(grown, labels, label.astype(np.uint16)[components])
+        label = np.zeros(count, dtype=np.uint16)
+        label[held_by] = np.arange(1, seeds.size + 1)
+        label[held > 1] = 0
+        fresh = np.flatnonzero(held == 0)
+        fresh = fresh[fresh > 0][: _MAX_LABEL - seeds.size]
+        label[fresh] = np.arange(seeds.size + 1, seeds.size + 1 + fresh.size)
+        free = np.flatnonzero(reach & (labels == 0))
+        owner = components[free]
+        labels.ravel()[free] = label[owner]
+        some_pixel = np.zeros(count, dtype=np.intp)
+        some_pixel[owner] = free
+        seeds = np.concatenate([seeds, some_pixel[fresh]])
         labels = _grow(labels, reach, _MEETING_STEPS)
     return labels
 
 
 def _grow(labels: NDArray[np.uint16], reach: NDArray[np.bool_], steps: int) -> NDArray[np.uint16]:
-    """Return the labels after growth by so many pixels into what is in reach and has none."""
-    grown = labels.copy()
-    wanted = np.asarray(cv2.bitwise_and(cv2.inRange(labels, _NONE, _NONE), reach.astype(np.uint8)), dtype=np.uint8)
-    if not cv2.countNonZero(wanted):
-        return grown
-    # the work is done on the part of the image that has anything left to reach
-    x, y, width, height = cv2.boundingRect(wanted)
-    window = (slice(max(y - 1, 0), y + height + 1), slice(max(x - 1, 0), x + width + 1))
-    part, missing = np.ascontiguousarray(grown[window]), np.ascontiguousarray(wanted[window])
-    left = cv2.countNonZero(missing)
+    """Return the labels after growth by so many pixels into what is in reach and has none.
+
+    A pixel with neighbours of several labels takes the highest. Only the front is looked at: a pixel can be reached
+    only from one that was reached in the step before.
+    """
+    width = labels.shape[1] + 2
+    grown = np.pad(labels, 1)
+    wanted = np.pad(reach & (labels == 0), 1)
+    part, missing = grown.ravel(), wanted.ravel()
+    beside = np.array([[-width], [-1], [1], [width]])
+    writer = np.empty(part.size, dtype=np.intp)
+    pixels = np.flatnonzero(missing)
+    front = pixels[part[pixels + beside].any(axis=0)]
     for _ in range(steps):
-        cv2.copyTo(cv2.dilate(part, _CROSS), missing, part)
-        cv2.bitwise_and(missing, cv2.inRange(part, _NONE, _NONE), missing)
-        before, left = left, cv2.countNonZero(missing)
-        if left in {0, before}:
+        if not front.size:
             break
-    grown[window] = part
-    return grown
+        around = front + beside
+        part[front] = part[around].max(axis=0)
+        missing[front] = False
+        following = around.ravel()
+        following = following[missing[following]]
+        # a pixel beside several of the front is met several times: the one that wrote its number last stays
+        writer[following] = np.arange(following.size)
+        front = following[writer[following] == np.arange(following.size)]
+    return np.ascontiguousarray(grown[1:-1, 1:-1])
 
 
 def join_regions(
