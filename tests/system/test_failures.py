@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from srvs_cell.cli.client import DaemonClient
 from srvs_cell.cli.simulated_cell import SimulatedCell, SimulationOptions, simulated_cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -56,13 +57,20 @@ def test_killed_in_mid_job_it_never_sends_a_move_again(cell: SimulatedCell) -> N
     cell.daemon.kill()
     motions = cell.control.ask("truth")["motions_started"]
     cell.daemon.start()
-    status = cell.client.read("status")
-    assert status["state"] == "Aborted"
-    assert 5003 in codes(status)
-    assert status["gripper"]["knowledge"] == "unknown"
-    assert cell.client.read("history")["history"], "the journal lost what it had"
+    with DaemonClient(cell.daemon.socket_path) as client:
+        status = client.read("status")
+        assert status["state"] == "Aborted"
+        assert 5003 in codes(status)
+        assert status["gripper"]["knowledge"] == "unknown"
+        assert client.read("history")["history"], "the journal lost what it had"
+        assert not client.command("command/start")["accepted"]
+        assert not client.command("command/clear")["accepted"], "the operator has not said what the gripper holds"
+        assert not client.command("resolve", {"gripper": "empty"})["accepted"], (
+            "the gripper's own sensor says otherwise"
+        )
+        assert client.command("resolve", {"gripper": "holding"})["accepted"]
+        assert client.command("command/clear")["accepted"]
     assert cell.control.ask("truth")["motions_started"] <= motions + 1, "only the move under way may have begun"
-    assert not cell.client.command("command/start")["accepted"]
 
 
 def test_a_cut_wire_ends_in_a_named_alarm_and_aborted(cell: SimulatedCell) -> None:
