@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,10 +15,11 @@ from srvs_cell.ports import CommandRejectedError, DeviceFaultError, NotConnected
 from tests.cell.support import Cell, build, connected, in_step, running, seen
 
 if TYPE_CHECKING:
+    from asyncio import Future
     from collections.abc import Sequence
     from pathlib import Path
 
-    from srvs_cell.cell import StereoLook
+    from srvs_cell.cell import CommandAnswer, StereoLook
     from srvs_cell.ports import PortError
     from srvs_cell.scene import Perception
 
@@ -82,6 +84,24 @@ async def test_a_camera_of_another_size_is_found_before_anything_moves(tmp_path:
 
 
 # -- robot ----------------------------------------------------------------------------------------------------------
+
+
+async def test_what_a_job_ended_with_is_told_even_if_a_command_comes_while_it_is_journalled(tmp_path: Path) -> None:
+    cell = build(tmp_path)
+    cell.arm.trouble[5] = DeviceFaultError(Alarm.COLLISION, "SRVO-050 collision")
+    plain = cell.journal.end_run
+    commands: list[asyncio.Task[CommandAnswer]] = []
+
+    def end_run(run: int, outcome: str) -> Future[None]:
+        if not commands:
+            commands.append(asyncio.create_task(cell.unit.command(Command.ABORT, "test")))
+        return plain(run, outcome)
+
+    cell.journal.end_run = end_run  # type: ignore[method-assign]
+    async with running(cell):
+        assert await run_to_end(cell) == "Aborted"
+        assert (await commands[0]).accepted
+        assert "COLLISION" in cell.alarms
 
 
 @pytest.mark.parametrize(
