@@ -13,23 +13,18 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.faces import Figure
+from srvs_cell.vision.outlines import Outlines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from srvs_cell.geometry import Array, Transform
+    from srvs_cell.geometry import Array
     from srvs_cell.vision.faces import Face
     from srvs_cell.vision.rectification import RectifiedRig
 
 _SMOOTHING_PX = 1.0
-_SAMPLE_STEP_PX = 0.5
-_SAMPLE_SPACING_PX = 2.5
-_SIDE_SAMPLES_MIN, _SIDE_SAMPLES_MAX = 8, 32
-_ALONG = np.array([1.0, 2.0, 1.0]) / 4.0
-"""Weights that average neighbouring profiles of one side against noise."""
 _CLEAR_SHARE = 0.15
 """An edge is never asked to have more than this share of the strongest gradient in its window."""
 _TEXTURE_FACTOR = 2.0
@@ -37,10 +32,6 @@ _TEXTURE_FACTOR = 2.0
 _TEXTURE_QUANTILE = 0.9
 _INSIDE = (0.25, 0.45, 0.65)
 """Where, as shares of the way from centre to outline, the texture is measured."""
-_SCHEDULE = ((6.0, 4.0), (6.0, 3.0), (5.0, 2.0), (4.0, 1.5), (3.0, 1.0), (3.0, 0.7), (2.5, 0.5), (2.5, 0.3), (2.5, 0.3))
-"""Half width of the search and scale of the robust weight in each iteration, pixels."""
-_SCOUTS = 4
-"""Iterations after which it shows whether a start leads anywhere."""
 _FLAT = 1e-9
 """Curvature of a profile that has no peak, so that the parabola stays defined."""
 _MISSING_PX = 3.0
@@ -48,19 +39,41 @@ _HOPELESS_SHARE = 0.5
 """Where less of the outline has an edge, the fit is given up."""
 _SUPPORT_PX = 1.0
 _DAMPING = 1e-6
-_STEP_LIMITS = (12.0, 12.0, 12.0, 12.0, 0.3, 12.0, 0.4)
+_STEP_LIMITS = np.array([12.0, 12.0, 12.0, 12.0, 0.3, 12.0, 0.4])
 _EDGE_SIGMA_PX = 0.05
 """Least standard deviation of one edge sample (references/vision.md C: a sober practical limit)."""
-_CORRELATED_SAMPLES = 4.0
-"""Neighbouring samples share pixels, so that this many count as one."""
+_INDEPENDENT_PX = 10.0
+"""Length of outline whose samples share noise, so that they count as one."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How thoroughly outlines are fitted.
+
+    Attributes:
+        samples: on each outline, a multiple of 12.
+        schedule: half width of the search and scale of the robust weight in each iteration, pixels.
+        step_px: distance of the samples of a profile across the outline.
+    """
+
+    samples: int
+    schedule: tuple[tuple[float, float], ...]
+    step_px: float
+
+
+SCOUT = Effort(36, ((6.0, 4.0), (6.0, 3.0), (5.0, 2.0), (4.0, 1.5)), 0.75)
+"""Shows whether a start leads anywhere."""
+SETTLE = Effort(48, ((3.0, 1.0), (3.0, 0.7), (2.5, 0.5), (2.5, 0.3)), 0.5)
+"""Tells which of the figures that scouting left is the best."""
+MEASURE = Effort(96, ((2.5, 0.4), (2.5, 0.3), (2.5, 0.3)), 0.5)
+"""Measures what is a face."""
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeField:
-    """The grey gradient of an image, smoothed: float32, shape (H, W) each."""
+    """The grey gradient of an image, smoothed: x and y, float32, shape (H, W, 2)."""
 
-    gradient_x: NDArray[np.float32]
-    gradient_y: NDArray[np.float32]
+    gradient: NDArray[np.float32]
 
     @classmethod
     def of(cls, grey: NDArray[np.uint8]) -> EdgeField:
@@ -72,18 +85,32 @@ class EdgeField:
         slope = t * smooth
         slope /= (slope * t).sum()
         image = grey.astype(np.float32)
-        return cls(
-            np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, slope, smooth), dtype=np.float32),
-            np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, smooth, slope), dtype=np.float32),
-        )
+        parts = (cv2.sepFilter2D(image, cv2.CV_32F, *kernels) for kernels in ((slope, smooth), (smooth, slope)))
+        return cls(np.ascontiguousarray(np.stack(tuple(parts), axis=-1), dtype=np.float32))
 
-    def along_normals(self, points_px: Array, normals: Array, offsets_px: Array) -> Array:
-        """Return the gradient along the normals, shape (N, T), at T offsets from N points; 0 outside the image."""
-        x = (points_px[:, :1] + normals[:, :1] * offsets_px).astype(np.float32)
-        y = (points_px[:, 1:] + normals[:, 1:] * offsets_px).astype(np.float32)
-        along_x = cv2.remap(self.gradient_x, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        along_y = cv2.remap(self.gradient_y, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        return np.asarray(along_x * normals[:, :1] + along_y * normals[:, 1:], dtype=np.float64)
+    def along_normals(self, points_px: Array, normals: Array, offsets_px: Array) -> NDArray[np.float32]:
+        """Return the gradient along normals at T offsets from points; 0 outside the image.
+
+        Args:
+            points_px: shape (B, N, 2).
+            normals: shape (B, N, 2).
+            offsets_px: shape (T,).
+
+        Returns:
+            float32, shape (B, N, T).
+        """
+        figures, samples, _ = points_px.shape
+        across = normals.astype(np.float32)[..., None]
+        places = points_px.astype(np.float32)[..., None] + across * offsets_px.astype(np.float32)
+        shape = (figures, samples * offsets_px.size)
+        seen = cv2.remap(
+            self.gradient,
+            np.ascontiguousarray(places[:, :, 0]).reshape(shape),
+            np.ascontiguousarray(places[:, :, 1]).reshape(shape),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+        ).reshape(figures, samples, offsets_px.size, 2)
+        return np.asarray(seen[..., 0] * across[:, :, 0] + seen[..., 1] * across[:, :, 1], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,219 +131,192 @@ class FaceFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Outline:
-    """Where a figure's outline is sampled, and whether its slopes are free."""
-
-    unit: Array
-    tangents: Array
-    neighbours: NDArray[np.int_]
-    inclined: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _Seeker:
-    """Finds edges in one image.
-
-    Attributes:
-        field: the image's gradient.
-        min_gradient: least gradient of any edge.
-        texture: gradient that the face's own texture reaches.
-    """
-
-    field: EdgeField
-    min_gradient: float
-    texture: float
-
-    def edges(
-        self, points_px: Array, normals: Array, neighbours: NDArray[np.int_], half_width_px: float
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the signed distance of the edge along each normal, 0 where there is none, and whether there is one."""
-        reach = round(half_width_px / _SAMPLE_STEP_PX) + 1
-        offsets = np.arange(-reach, reach + 1, dtype=np.float64) * _SAMPLE_STEP_PX
-        profiles = self.field.along_normals(points_px, normals, offsets)
-        size = np.abs(np.einsum("k,nkt->nt", _ALONG, profiles[neighbours]))
-        # an edge is a local maximum, so that the flank of one beyond the window does not count
-        peak = np.zeros_like(size, dtype=bool)
-        peak[:, 1:-1] = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] > size[:, 2:])
-        strongest = (size * peak).max(axis=1, keepdims=True)
-        least = np.maximum(self.min_gradient, np.minimum(_TEXTURE_FACTOR * self.texture, _CLEAR_SHARE * strongest))
-        # walking outwards from inside the face its own edge comes first; side face and shadow lie beyond it
-        clear = peak & (size >= least)
-        best = clear.argmax(axis=1)
-        rows = np.arange(best.size)
-        found = clear[rows, best]
-        best = np.clip(best, 1, offsets.size - 2)
-        before, at, after = size[rows, best - 1], size[rows, best], size[rows, best + 1]
-        curvature = np.minimum(before - 2.0 * at + after, -_FLAT)
-        place = offsets[best] + np.clip(0.5 * (before - after) / curvature, -0.5, 0.5) * _SAMPLE_STEP_PX
-        return np.where(found, place, 0.0), found
-
-
-@dataclass(frozen=True, eq=False)
 class _Linearised:
-    """One Gauss-Newton iteration."""
+    """One Gauss-Newton iteration of B figures; distances and whether there is an edge have shape (B, 2, N)."""
 
-    step: Array
-    normal_matrix: Array
-    residuals_px: Array
+    steps: Array
+    normal_matrices: Array
+    distances_px: Array
     found: NDArray[np.bool_]
 
 
-def fit_best_face(
-    starts: Iterable[Face],
+def fit_faces(
+    starts: Sequence[Face],
+    inclined: Sequence[bool],
     fields: tuple[EdgeField, EdgeField],
     rig: RectifiedRig,
-    *,
-    inclined: bool,
+    effort: Effort,
     min_gradient: float,
-) -> FaceFit | None:
-    """Try several starts for a few iterations and fit the one that leads nearest to the edges; see `fit_face`."""
-    best: FaceFit | None = None
-    for start in starts:
-        scout = _fit(start, fields, rig, _SCHEDULE[:_SCOUTS], inclined=inclined, min_gradient=min_gradient)
-        if scout is not None and (best is None or scout.rms_px < best.rms_px):
-            best = scout
-    if best is None:
-        return None
-    return _fit(best.face, fields, rig, _SCHEDULE[_SCOUTS:], inclined=inclined, min_gradient=min_gradient)
-
-
-def fit_face(
-    start: Face, fields: tuple[EdgeField, EdgeField], rig: RectifiedRig, *, inclined: bool, min_gradient: float
-) -> FaceFit | None:
-    """Fit a face to the edges of both images.
+) -> list[FaceFit | None]:
+    """Fit faces to the edges of both images, each for itself.
 
     Args:
-        start: where to begin; within about six pixels of the edges.
+        starts: where to begin; within the reach of the effort's search from the edges.
+        inclined: whether the slope along a rectangle's length is free.
         fields: gradients of the rectified left and right image.
         rig: the rectified cameras.
-        inclined: whether the slope along a rectangle's length is free.
+        effort: number of samples and iterations.
         min_gradient: least gradient of an edge, grey values per pixel.
 
     Returns:
-        The fit, or None where the outline leaves the view or the edges do not determine it.
+        For each start the fit, or None where the outline leaves the view or the edges do not determine it.
     """
-    return _fit(start, fields, rig, _SCHEDULE, inclined=inclined, min_gradient=min_gradient)
+    fits: list[FaceFit | None] = [None] * len(starts)
+    if not starts:
+        return fits
+    outlines = Outlines.of(starts, inclined, effort.samples)
+    alive = np.flatnonzero(_in_front(outlines, rig))
+    if alive.size == 0:
+        return fits
+    outlines = outlines.only(alive)
+    textures = _textures(outlines, fields, rig)
+    for half_width_px, scale_px in effort.schedule:
+        now = _linearise(outlines, textures, fields, rig, (half_width_px, scale_px, effort.step_px), min_gradient)
+        outlines = outlines.moved(now.steps)
+        hopeful = np.flatnonzero((now.found.mean(axis=(1, 2)) >= _HOPELESS_SHARE) & _in_front(outlines, rig))
+        if hopeful.size == 0:
+            return fits
+        if hopeful.size < alive.size:
+            outlines, textures, alive = outlines.only(hopeful), textures[:, hopeful], alive[hopeful]
+    last = _linearise(outlines, textures, fields, rig, (*effort.schedule[-1], effort.step_px), min_gradient)
+    for number, fit in zip(alive, _judged(outlines, last, rig), strict=True):
+        fits[number] = fit
+    return fits
 
 
-def _fit(
-    start: Face,
-    fields: tuple[EdgeField, EdgeField],
-    rig: RectifiedRig,
-    schedule: tuple[tuple[float, float], ...],
-    *,
-    inclined: bool,
-    min_gradient: float,
-) -> FaceFit | None:
-    face = start
-    counts = _side_samples(face, rig)
-    unit, tangents = face.unit_outline(counts)
-    outline = _Outline(unit, tangents, _neighbours(counts), inclined=inclined)
-    seekers = tuple(
-        _Seeker(field, min_gradient, texture)
-        for field, texture in zip(fields, _textures(face, unit, fields, rig), strict=True)
-    )
-    camera_T_base = rig.base_T_camera.inverse()
-    for half_width_px, scale_px in schedule:
-        now = _linearise(face, outline, seekers, rig, camera_T_base, half_width_px, scale_px)
-        if now is None or now.found.mean() < _HOPELESS_SHARE:
-            return None
-        face = face.with_parameters(face.parameters(inclined=inclined) + now.step)
-    last = _linearise(face, outline, seekers, rig, camera_T_base, *schedule[-1])
-    if last is None:
-        return None
-    distances = np.where(last.found, np.abs(last.residuals_px), _MISSING_PX)
-    noise_px = max(_EDGE_SIGMA_PX, float(np.sqrt(np.mean(np.minimum(distances, _SUPPORT_PX) ** 2))))
-    covariance = np.linalg.pinv(last.normal_matrix) * noise_px**2 * _CORRELATED_SAMPLES
-    near = (distances < _SUPPORT_PX).reshape(2, -1)
-    return FaceFit(
-        face,
-        np.asarray(covariance[:3, :3], dtype=np.float64),
-        float(np.sqrt(np.mean(distances**2))),
-        float(near.mean(axis=1).min()),
-    )
+def _in_front(outlines: Outlines, rig: RectifiedRig) -> NDArray[np.bool_]:
+    """Whether all of each outline is in front of the cameras and finite."""
+    depth = rig.base_T_camera.inverse().apply(outlines.points_mm())[..., 2]
+    return np.asarray(np.isfinite(depth).all(axis=1) & (depth.min(axis=1) > 1.0), dtype=np.bool_)
+
+
+def _judged(outlines: Outlines, last: _Linearised, rig: RectifiedRig) -> list[FaceFit]:
+    distances = np.where(last.found, np.abs(last.distances_px), _MISSING_PX)
+    capped = np.sqrt(np.mean(np.minimum(distances, _SUPPORT_PX) ** 2, axis=(1, 2)))
+    noise_px = np.maximum(_EDGE_SIGMA_PX, capped)
+    points = outlines.points_mm()
+    depth_mm = np.maximum(1.0, rig.base_T_camera.translation_mm[2] - outlines.values[:, 2])
+    perimeter_px = np.linalg.norm(np.roll(points, -1, axis=1) - points, axis=2).sum(axis=1) * rig.f_px / depth_mm
+    # a sample of a densely sampled outline tells less than one of a sparsely sampled one
+    samples_per_one = np.maximum(1.0, outlines.unit.shape[1] * _INDEPENDENT_PX / np.maximum(perimeter_px, 1.0))
+    # what is held has no row: 1 on the diagonal keeps the inverse of the rest
+    held = np.where(outlines.free, 0.0, 1.0)[:, :, None] * np.eye(outlines.free.shape[1])
+    inverse = np.linalg.pinv(last.normal_matrices + held, hermitian=True)
+    covariances = inverse[:, :3, :3] * (noise_px**2 * samples_per_one)[:, None, None]
+    rms = np.sqrt(np.mean(distances**2, axis=(1, 2)))
+    support = (distances < _SUPPORT_PX).mean(axis=2).min(axis=1)
+    return [
+        FaceFit(face, covariance, float(rms_px), float(share))
+        for face, covariance, rms_px, share in zip(outlines.faces(), covariances, rms, support, strict=True)
+    ]
 
 
 def _linearise(
-    face: Face,
-    outline: _Outline,
-    seekers: tuple[_Seeker, ...],
+    outlines: Outlines,
+    textures: Array,
+    fields: tuple[EdgeField, EdgeField],
     rig: RectifiedRig,
-    camera_T_base: Transform,
-    half_width_px: float,
-    scale_px: float,
-) -> _Linearised | None:
-    points = camera_T_base.apply(face.place(outline.unit))
-    if points[:, 2].min() <= 0.0:
-        return None
-    along = camera_T_base.rotate(face.turn(outline.tangents))
-    changes = camera_T_base.rotate(face.derivatives(outline.unit, inclined=outline.inclined))
-    residuals, weights, jacobians = [], [], []
-    for seeker, shift_mm in zip(seekers, (0.0, rig.baseline_mm), strict=True):
+    search_px: tuple[float, float, float],
+    min_gradient: float,
+) -> _Linearised:
+    """Measure the edges and solve for a step; ``search_px``: half width, scale of the weight, step of a profile."""
+    half_width_px, scale_px, step_px = search_px
+    camera_T_base = rig.base_T_camera.inverse()
+    points = camera_T_base.apply(outlines.points_mm())
+    along = camera_T_base.rotate(outlines.directions_mm())
+    distances, found, jacobians = [], [], []
+    for field, texture, shift_mm in zip(fields, textures, (0.0, rig.baseline_mm), strict=True):
         seen = points - (shift_mm, 0.0, 0.0)
-        pixels = seen[:, :2] * (rig.f_px / seen[:, 2:]) + (rig.cx_px, rig.cy_px)
-        normals = _outward(_flow(seen, along, rig.f_px), pixels)
-        offsets, found = seeker.edges(pixels, normals, outline.neighbours, half_width_px)
-        weights.append(found / (1.0 + (offsets / scale_px) ** 2) ** 2)
-        residuals.append(offsets)
-        jacobians.append(
-            np.stack([(_flow(seen, change, rig.f_px) * normals).sum(axis=1) for change in changes], axis=1)
+        scale = rig.f_px / seen[..., 2:]
+        pixels = seen[..., :2] * scale + (rig.cx_px, rig.cy_px)
+        flow = along[..., :2] - seen[..., :2] / seen[..., 2:] * along[..., 2:]
+        normals = _outward(flow, pixels)
+        clear = _TEXTURE_FACTOR * texture
+        distance, there = _edges(field, outlines, (pixels, normals), (half_width_px, step_px), (min_gradient, clear))
+        # how the pixel moves along the normal when the point moves, as a linear function in the base frame
+        covectors = np.concatenate(
+            [normals, -(normals * seen[..., :2]).sum(axis=-1, keepdims=True) / seen[..., 2:]], axis=-1
         )
-    residual, weight, jacobian = np.concatenate(residuals), np.concatenate(weights), np.concatenate(jacobians)
-    normal_matrix = jacobian.T @ (jacobian * weight[:, None])
-    scale = np.sqrt(np.diag(normal_matrix))
-    if not (scale > 0.0).all():
-        return None
-    scaled = normal_matrix / np.outer(scale, scale) + _DAMPING * np.eye(scale.size)
-    step = np.linalg.solve(scaled, jacobian.T @ (residual * weight) / scale) / scale
-    limits = np.array(_STEP_LIMITS[: step.size])
-    return _Linearised(np.clip(step, -limits, limits), normal_matrix, residual, weight > 0.0)
+        jacobians.append(outlines.change((covectors * scale) @ camera_T_base.rotation))
+        distances.append(distance)
+        found.append(there)
+    distance, there = np.stack(distances, axis=1), np.stack(found, axis=1)
+    figures, parameters = outlines.values.shape
+    jacobian = np.stack(jacobians, axis=1).reshape(figures, -1, parameters)
+    weight = (there / (1.0 + (distance / scale_px) ** 2) ** 2).reshape(figures, -1)
+    weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
+    normal_matrices = weighted @ jacobian
+    gradients = (weighted @ distance.reshape(figures, -1, 1))[..., 0]
+    diagonal = np.einsum("bii->bi", normal_matrices)
+    norm = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    scaled = normal_matrices / (norm[:, :, None] * norm[:, None, :])
+    scaled = scaled + np.where(diagonal > 0.0, _DAMPING, 1.0)[:, :, None] * np.eye(parameters)
+    steps = np.linalg.solve(scaled, (gradients / norm)[..., None])[..., 0] / norm
+    return _Linearised(np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS), normal_matrices, distance, there)
 
 
-def _flow(seen_mm: Array, change_mm: Array, f_px: float) -> Array:
-    """Return how the pixels of points move when the points change, shape (N, 2)."""
-    depth = seen_mm[:, 2:]
-    return f_px * (change_mm[:, :2] - seen_mm[:, :2] / depth * change_mm[:, 2:]) / depth
+def _edges(
+    field: EdgeField,
+    outlines: Outlines,
+    normals_at: tuple[Array, Array],
+    search_px: tuple[float, float],
+    gradients: tuple[float, Array],
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the signed distance of the edge along each normal, 0 where there is none, and whether there is one.
+
+    Args:
+        field: the image's gradient.
+        outlines: the figures.
+        normals_at: pixels and unit normals of the samples, shape (B, N, 2).
+        search_px: half width of the search and step of a profile.
+        gradients: least gradient of any edge, and what exceeds each figure's texture, shape (B,).
+    """
+    half_width_px, step_px = search_px
+    min_gradient, clear_gradient = gradients
+    reach = round(half_width_px / step_px) + 1
+    offsets = np.arange(-reach, reach + 1, dtype=np.float64) * step_px
+    size = np.abs(_averaged(field.along_normals(*normals_at, offsets), outlines))
+    # an edge is a local maximum, so that the flank of one beyond the window does not count
+    inner = size[..., 1:-1]
+    peak = (inner >= size[..., :-2]) & (inner > size[..., 2:])
+    strongest = (inner * peak).max(axis=-1)
+    needed = np.maximum(min_gradient, np.minimum(clear_gradient[:, None], _CLEAR_SHARE * strongest))
+    # walking outwards from inside the face its own edge comes first; side face and shadow lie beyond it
+    clear = peak & (inner >= needed[..., None])
+    best = clear.argmax(axis=-1)[..., None]
+    found = np.take_along_axis(clear, best, axis=-1)[..., 0]
+    before, at, after = (np.take_along_axis(size, best + ahead, axis=-1)[..., 0] for ahead in (0, 1, 2))
+    curvature = np.minimum(before - 2.0 * at + after, -_FLAT)
+    place = offsets[best[..., 0] + 1] + np.clip(0.5 * (before - after) / curvature, -0.5, 0.5) * step_px
+    return np.where(found, place, 0.0), found
+
+
+def _averaged(profiles: NDArray[np.float32], outlines: Outlines) -> NDArray[np.float32]:
+    """Average each profile with its neighbours on the same side, weights 1 2 1, against noise."""
+    before, after = np.roll(profiles, 1, axis=1), np.roll(profiles, -1, axis=1)
+    before[outlines.first] = profiles[outlines.first]
+    after[outlines.last] = profiles[outlines.last]
+    return np.asarray((before + profiles + profiles + after) * np.float32(0.25), dtype=np.float32)
 
 
 def _outward(along: Array, pixels: Array) -> Array:
-    """Return the unit normals of an outline that point away from its middle, shape (N, 2)."""
-    normals = np.column_stack([along[:, 1], -along[:, 0]])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-    inward = ((pixels - pixels.mean(axis=0)) * normals).sum(axis=1) < 0.0
-    normals[inward] *= -1.0
-    return normals
+    """Return the unit normals of outlines that point away from their middles, shape (B, N, 2)."""
+    normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
+    inward = ((pixels - pixels.mean(axis=1, keepdims=True)) * normals).sum(axis=-1, keepdims=True) < 0.0
+    return np.where(inward, -normals, normals)
 
 
-def _side_samples(face: Face, rig: RectifiedRig) -> NDArray[np.int_]:
-    depth_mm = max(1.0, float(rig.base_T_camera.translation_mm[2] - face.z_mm))
-    sides_px = face.side_lengths_mm() * rig.f_px / depth_mm
-    most = _SIDE_SAMPLES_MAX * (3 if face.figure is Figure.CIRCLE else 1)
-    return np.clip(sides_px / _SAMPLE_SPACING_PX, _SIDE_SAMPLES_MIN, most).astype(np.int_)
-
-
-def _textures(face: Face, unit: Array, fields: tuple[EdgeField, EdgeField], rig: RectifiedRig) -> tuple[float, float]:
-    """Return the gradient that the face's own texture reaches in both images, seen across the outline."""
-    inside = np.concatenate([unit * share for share in _INSIDE])
-    x, y, disparity = rig.project_px(face.place(inside))
-    centre_x, centre_y, centre_disparity = rig.project_px(face.place(np.zeros((1, 2))))
+def _textures(outlines: Outlines, fields: tuple[EdgeField, EdgeField], rig: RectifiedRig) -> Array:
+    """Return the gradient that each face's own texture reaches in both images, across its outline, shape (2, B)."""
+    inside = np.concatenate([outlines.points_mm(share) for share in _INSIDE], axis=1)
+    x, y, disparity = rig.project_px(inside)
+    centre_x, centre_y, centre_disparity = rig.project_px(outlines.values[:, None, :3])
     found = []
     for field, share in zip(fields, (0.0, 1.0), strict=True):
-        pixels = np.column_stack([x - share * disparity, y])
-        rays = pixels - np.column_stack([centre_x - share * centre_disparity, centre_y])
-        rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.finfo(float).tiny)
-        size = np.abs(field.along_normals(pixels, rays, np.zeros(1)))
-        found.append(float(np.quantile(size, _TEXTURE_QUANTILE)))
-    return found[0], found[1]
-
-
-def _neighbours(counts: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return for each sample the samples that its profile is averaged with: neighbours on the same side, (N, 3)."""
-    reach = _ALONG.size // 2
-    starts = np.cumsum(counts) - counts
-    return np.concatenate(
-        [
-            start + np.clip(np.arange(count)[:, None] + np.arange(-reach, reach + 1), 0, count - 1)
-            for start, count in zip(starts, counts, strict=True)
-        ]
-    )
+        pixels = np.stack([x - share * disparity, y], axis=-1)
+        rays = pixels - np.stack([centre_x - share * centre_disparity, centre_y], axis=-1)
+        rays /= np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), np.finfo(float).tiny)
+        size = np.abs(field.along_normals(pixels, rays, np.zeros(1)))[..., 0]
+        found.append(np.quantile(size, _TEXTURE_QUANTILE, axis=1))
+    return np.stack(found)

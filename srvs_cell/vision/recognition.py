@@ -18,16 +18,17 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from srvs_cell.scene import UNKNOWN_KIND, Workpiece
-from srvs_cell.vision.face_fit import EdgeField, FaceFit, fit_best_face, fit_face
+from srvs_cell.vision.face_fit import MEASURE, SCOUT, SETTLE, EdgeField, FaceFit, fit_faces
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
 from srvs_cell.vision.grasping import GraspParameters, plan_grasp
 from srvs_cell.vision.recovery import NO_PLANE, Region, find_places, stable_regions, unmatched_planes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage, Surface
+    from srvs_cell.vision.face_fit import Effort
     from srvs_cell.vision.rectification import RectifiedRig
 
 _HALF_TURN_DEG = 180.0
@@ -43,8 +44,8 @@ _SURE_RMS_PX = 0.4
 """A figure that fits worse waits until the better ones have taken their surfaces."""
 _CERTAIN_RMS_PX = 0.15
 """A figure that fits like this leaves nothing for another one to explain."""
-_RECTANGLE_FILL = 0.89
-"""Share of the bounding rectangle: between a hexagon's 0.87 at most and a rectangle's 1."""
+_PROMISING_PX = 0.6
+"""A figure that fits worse than the best by more, after scouting, is given up."""
 _START_SLOPE = 0.36
 """20 degrees: from here the edges of inclinations from 5 to 35 degrees are within reach."""
 _SIDES = 4
@@ -158,7 +159,7 @@ def recognise(
 
 
 def _add_tops(
-    surfaces: Iterable[Surface],
+    surfaces: Sequence[Surface],
     tops: list[_Top],
     fields: tuple[EdgeField, EdgeField],
     rig: RectifiedRig,
@@ -166,7 +167,7 @@ def _add_tops(
     limits: RecognitionParameters,
 ) -> list[Surface]:
     """Add the top faces among surfaces to those known, the surest and largest first; returns the other surfaces."""
-    fitted = [(surface, _fit_top(surface, fields, rig, table_z_mm, limits)) for surface in surfaces]
+    fitted = list(zip(surfaces, _fit_tops(surfaces, fields, rig, table_z_mm, limits), strict=True))
     found = [(surface, fit) for surface, fit in fitted if fit is not None]
     found.sort(key=lambda one: _rank(one[1]))
     for surface, fit in found:
@@ -216,42 +217,113 @@ def _plan_area_mm2(surface: Surface) -> float:
     return float(cv2.contourArea(surface.outline_mm[:, :2].astype(np.float32)))
 
 
-def _fit_top(
-    surface: Surface,
+def _fit_tops(
+    surfaces: Sequence[Surface],
     fields: tuple[EdgeField, EdgeField],
     rig: RectifiedRig,
     table_z_mm: float,
     limits: RecognitionParameters,
-) -> FaceFit | None:
-    """Return the best figure of a surface as a top face, or None where it is none."""
+) -> list[FaceFit | None]:
+    """Return for each surface the best figure as a top face, or None where it is none.
+
+    Every figure in every likely attitude is tried, all together: a few iterations leave the promising ones, these are
+    settled, and the best one of each surface is measured.
+    """
+    starts = [
+        _Start(number, face, inclined=inclined)
+        for number, surface in enumerate(surfaces)
+        if _may_be_top(surface, table_z_mm, limits)
+        for face, inclined in (*_level_starts(surface, rig), *_inclined_starts(surface, rig))
+    ]
+    scouted = _promising(_fitted(starts, fields, rig, SCOUT, limits))
+    settled = _fitted([start for start, _ in scouted], fields, rig, SETTLE, limits)
+    best: dict[int, _Start] = {}
+    for number in range(len(surfaces)):
+        chosen = _chosen([(start, fit) for start, fit in settled if start.number == number], limits)
+        if chosen is not None:
+            best[number] = chosen
+    measured = _fitted(list(best.values()), fields, rig, MEASURE, limits)
+    fits = {start.number: fit for start, fit in measured if _is_top(fit, table_z_mm, limits)}
+    return [fits.get(number) for number in range(len(surfaces))]
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A figure that a surface may be.
+
+    Attributes:
+        number: of the surface.
+        face: the figure.
+        inclined: whether its slope is free.
+    """
+
+    number: int
+    face: Face
+    inclined: bool
+
+
+def _fitted(
+    starts: Sequence[_Start],
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    effort: Effort,
+    limits: RecognitionParameters,
+) -> list[tuple[_Start, FaceFit]]:
+    """Fit figures; each that has a fit comes back with its fit as the next start."""
+    fits = fit_faces(
+        [start.face for start in starts], [start.inclined for start in starts], fields, rig, effort, limits.min_gradient
+    )
+    return [(replace(start, face=fit.face), fit) for start, fit in zip(starts, fits, strict=True) if fit is not None]
+
+
+def _promising(fitted: list[tuple[_Start, FaceFit]]) -> list[tuple[_Start, FaceFit]]:
+    """Return of each surface the figures that fit about as well as the best, of inclined ones only the best."""
+    kept = []
+    for number in sorted({start.number for start, _ in fitted}):
+        mine = [one for one in fitted if one[0].number == number]
+        level = [one for one in mine if not one[0].inclined]
+        inclined = sorted((one for one in mine if one[0].inclined), key=_misfit)[:1]
+        kept += [one for one in (*level, *inclined) if _misfit(one) <= min(map(_misfit, mine)) + _PROMISING_PX]
+    return kept
+
+
+def _misfit(fitted: tuple[_Start, FaceFit]) -> float:
+    return fitted[1].rms_px
+
+
+def _chosen(fitted: list[tuple[_Start, FaceFit]], limits: RecognitionParameters) -> _Start | None:
+    """Return the figure of one surface: the one that fits best, an inclined one only where it fits clearly better."""
+    level = min((one for one in fitted if not one[0].inclined), key=_misfit, default=None)
+    inclined = min(
+        (
+            one
+            for one in fitted
+            if one[0].inclined
+            and limits.min_inclination_deg <= one[1].face.inclination_deg <= limits.max_inclination_deg
+        ),
+        key=_misfit,
+        default=None,
+    )
+    if inclined is None or level is None:
+        chosen = level or inclined
+        return None if chosen is None else chosen[0]
+    return inclined[0] if _misfit(inclined) < limits.inclined_gain * _misfit(level) else level[0]
+
+
+def _may_be_top(surface: Surface, table_z_mm: float, limits: RecognitionParameters) -> bool:
+    """Whether a surface is neither table nor wall."""
     # the middle of an inclined face that runs out on the table is at half its height
     least_mm = table_z_mm + _LEAST_SHARE * limits.min_height_mm
-    if not least_mm < surface.centre_mm[2] < table_z_mm + limits.max_height_mm or _tilt_deg(surface) > _WALL_TILT_DEG:
-        return None
-    best: FaceFit | None = None
-    for start in _starts(surface, rig):
-        fit = fit_face(start, fields, rig, inclined=False, min_gradient=limits.min_gradient)
-        if fit is not None and (best is None or fit.rms_px < best.rms_px):
-            best = fit
-        if best is not None and best.rms_px < _CERTAIN_RMS_PX:
-            return best if _is_top(best, table_z_mm, limits) else None
-    if best is not None and best.face.figure is not Figure.RECTANGLE and best.rms_px < _SURE_RMS_PX:
-        return best if _is_top(best, table_z_mm, limits) else None
-    measured = surface.match.right != NO_PLANE and surface.match.disparity_sigma_px <= _SLOPE_SIGMA_PX
-    if measured and best is not None and _tilt_deg(surface) < _LEVEL_TILT_DEG:
-        return best if _is_top(best, table_z_mm, limits) else None
-    inclined = _inclined(surface, fields, rig, limits)
-    if inclined is not None and (best is None or inclined.rms_px < limits.inclined_gain * best.rms_px):
-        best = inclined
-    return best if best is not None and _is_top(best, table_z_mm, limits) else None
+    inside = least_mm < surface.centre_mm[2] < table_z_mm + limits.max_height_mm
+    return inside and _tilt_deg(surface) <= _WALL_TILT_DEG
 
 
 def _tilt_deg(surface: Surface) -> float:
     return float(np.rad2deg(np.arccos(np.clip(surface.normal[2], -1.0, 1.0))))
 
 
-def _starts(surface: Surface, rig: RectifiedRig) -> list[Face]:
-    """Return the level figures to begin with, the likeliest first: they have the region's place and area."""
+def _level_starts(surface: Surface, rig: RectifiedRig) -> list[tuple[Face, bool]]:
+    """Return the level figures to begin with: they have the region's place and area."""
     hull = _laid_on(surface, rig, _UP)
     moments = cv2.moments(hull.astype(np.float32))
     if moments["m00"] <= 0.0:
@@ -264,25 +336,23 @@ def _starts(surface: Surface, rig: RectifiedRig) -> list[Face]:
     across_corners = float(np.sqrt(moments["m00"] * 8.0 / (3.0 * np.sqrt(3.0))))
     corner = _hexagon_angle(hull - middle)
     hexagon = Face(Figure.HEXAGON, *middle, z_mm, corner, across_corners, across_corners * HEXAGON_RATIO)
-    likely = moments["m00"] / (rectangle.length_mm * rectangle.width_mm) > _RECTANGLE_FILL
-    return [rectangle, circle, hexagon] if likely else [circle, hexagon, rectangle]
+    return [(rectangle, False), (circle, False), (hexagon, False)]
 
 
-def _inclined(
-    surface: Surface, fields: tuple[EdgeField, EdgeField], rig: RectifiedRig, limits: RecognitionParameters
-) -> FaceFit | None:
-    """Return the best rectangle that is inclined along one of its sides; matching says too little of the slope."""
-    level = _bounding_rectangle(_laid_on(surface, rig, _UP), surface.centre_mm[2])
+def _inclined_starts(surface: Surface, rig: RectifiedRig) -> list[tuple[Face, bool]]:
+    """Return rectangles inclined along each of their sides; none where the slope is measured and level."""
+    measured = surface.match.right != NO_PLANE and surface.match.disparity_sigma_px <= _SLOPE_SIGMA_PX
+    hull = _laid_on(surface, rig, _UP)
+    if (measured and _tilt_deg(surface) < _LEVEL_TILT_DEG) or cv2.contourArea(hull.astype(np.float32)) <= 0.0:
+        return []
+    level = _bounding_rectangle(hull, surface.centre_mm[2])
     starts = []
     for turn in range(_SIDES):
         direction = level.angle_rad + turn * np.pi / 2.0
         normal = np.array([-_START_SLOPE * np.cos(direction), -_START_SLOPE * np.sin(direction), 1.0])
         start = _bounding_rectangle(_laid_on(surface, rig, normal), surface.centre_mm[2], direction)
-        starts.append(replace(start, slope_u=_START_SLOPE))
-    best = fit_best_face(starts, fields, rig, inclined=True, min_gradient=limits.min_gradient)
-    if best is None or not limits.min_inclination_deg <= best.face.inclination_deg <= limits.max_inclination_deg:
-        return None
-    return best
+        starts.append((replace(start, slope_u=_START_SLOPE), True))
+    return starts
 
 
 def _laid_on(surface: Surface, rig: RectifiedRig, normal: Array) -> Array:
