@@ -35,12 +35,14 @@ _CORRELATED_PIXELS = 12.0
 """Smoothing makes so many neighbouring pixels count as one."""
 _LEAST_SIGMA_PX = 0.02
 _CONVINCING = 0.97
-_LEVEL_STEP_PX = 1.5
+_LEVEL_STEP_PX = 0.5
 _ROUGH_PIXELS = 500
 """So many pixels tell which of several starts is the best."""
 _MIN_CONTRAST = 5.0
 """Standard deviation in grey values below which the noise spoils the correlation."""
 _RANGE_MARGIN_PX = 1.0
+_UNCHANGED = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+"""No slope, and the same brightness in both images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +130,25 @@ def _best_alignment(
         return found
     x, y = centre_px
     a, b, c = match.disparity_plane
-    middle = a * x + b * y + c
-    levels = np.arange(-parameters.max_shift_px, parameters.max_shift_px + _LEVEL_STEP_PX, _LEVEL_STEP_PX)
-    rough = replace(parameters, max_pixels=_ROUGH_PIXELS)
-    others = [align_plane(pair, rows, columns, (0.0, 0.0, middle + level), rough) for level in levels.tolist()]
-    best = max((other for other in others if other is not None), key=_correlation_of, default=None)
-    again = None if best is None else align_plane(pair, rows, columns, best.plane, parameters)
+    level = _best_level(pair, rows, columns, a * x + b * y + c, parameters.max_shift_px)
+    again = align_plane(pair, rows, columns, (0.0, 0.0, level), parameters)
     return max((each for each in (found, again) if each is not None), key=_correlation_of, default=None)
+
+
+def _best_level(
+    pair: GreyPair, rows: NDArray[np.intp], columns: NDArray[np.intp], middle_px: float, max_shift_px: float
+) -> float:
+    """Return the constant disparity near ``middle_px`` at which the grey values correlate best."""
+    stride = max(1, rows.size // _ROUGH_PIXELS)
+    rows, columns = rows[::stride], columns[::stride]
+    levels = middle_px + np.arange(-max_shift_px, max_shift_px + _LEVEL_STEP_PX, _LEVEL_STEP_PX)
+    seen, _, inside = _Samples.of(pair, rows, columns).at(levels[:, None])
+    target = pair.left[rows, columns].astype(np.float64)
+    counted = np.maximum(inside.sum(axis=1, keepdims=True), 1)
+    one = (target - (target * inside).sum(axis=1, keepdims=True) / counted) * inside
+    other = (seen - (seen * inside).sum(axis=1, keepdims=True) / counted) * inside
+    norm = np.sqrt((one**2).sum(axis=1) * (other**2).sum(axis=1))
+    return float(levels[np.argmax((one * other).sum(axis=1) / np.maximum(norm, _NOISE_GREY))])
 
 
 def _correlation_of(alignment: Alignment) -> float:
@@ -176,37 +190,38 @@ def align_plane(
     rows, columns = rows[::stride], columns[::stride]
     if rows.size < _MIN_PIXELS:
         return None
-    x, y = columns.astype(np.float64), rows.astype(np.float64)
-    middle_x, middle_y = float(x.mean()), float(y.mean())
+    middle_x, middle_y = float(columns.mean()), float(rows.mean())
     a, b, c = start
-    design = np.column_stack([x - middle_x, y - middle_y, np.ones_like(x)])
+    design = np.stack([columns - middle_x, rows - middle_y, np.ones(rows.size)])
+    samples = _Samples.of(pair, rows, columns)
     solution = np.array([a, b, a * middle_x + b * middle_y + c, 1.0, 0.0])
     first_level = solution[2]
     prior = np.diag([(_NOISE_GREY / _SLOPE_SIGMA) ** 2] * 2 + [0.0, 1e-3, 1e-3])
     target = pair.left[rows, columns].astype(np.float64)
-    variance, normal, scale = 0.0, prior, _NOISE_GREY
-    seen = slope = target
+    variance, normal = 0.0, prior
+    jacobian = np.ones((len(solution), rows.size))
     for _ in range(parameters.iterations):
-        seen, slope, inside = _sample(pair, rows, x - design @ solution[:3])
+        seen, slope, inside = samples.at(solution[:3] @ design)
         if np.count_nonzero(inside) < _MIN_PIXELS:
             return None
-        residual = np.where(inside, target - (solution[3] * seen + solution[4]), 0.0)
-        scale = max(_NOISE_GREY, _MAD_TO_SIGMA * float(np.median(np.abs(residual))))
-        weight = np.where(inside, np.clip(1.0 - (residual / (_TUKEY * scale)) ** 2, 0.0, None) ** 2, 0.0)
+        residual = (target - (solution[3] * seen + solution[4])) * inside
+        scale = max(_NOISE_GREY, _MAD_TO_SIGMA * _median(np.abs(residual)))
+        weight = np.maximum(1.0 - (residual / (_TUKEY * scale)) ** 2, 0.0) ** 2 * inside
         # d moves the sample against x: the prediction changes by -gain times the slope
-        jacobian = np.column_stack([-solution[3] * slope[:, None] * design, seen, np.ones_like(seen)])
-        weighted = jacobian * weight[:, None]
-        normal = weighted.T @ jacobian + prior
-        step = np.linalg.solve(normal, weighted.T @ residual - prior @ (solution - (0.0, 0.0, 0.0, 1.0, 0.0)))
+        np.multiply(-solution[3] * slope, design, out=jacobian[:3])
+        jacobian[3] = seen
+        weighted = jacobian * weight
+        normal = weighted @ jacobian.T + prior
+        step = np.linalg.solve(normal, weighted @ residual - prior @ (solution - _UNCHANGED))
         step[:3] *= min(1.0, 1.0 / max(abs(float(step[2])), 1e-9))
         solution = solution + step
-        variance = float((weight * residual**2).sum() / max(weight.sum(), 1.0))
+        variance = float(weight @ residual**2 / max(weight.sum(), 1.0))
         if abs(float(step[2])) < _CONVERGED_PX:
             break
     if abs(solution[2] - first_level) > parameters.max_shift_px or not np.isfinite(solution).all():
         return None
     sigma = float(np.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * np.linalg.inv(normal)[2, 2]))
-    seen, _, inside = _sample(pair, rows, x - design @ solution[:3])
+    seen, _, inside = samples.at(solution[:3] @ design)
     contrast = float(target[inside].std()) if inside.any() else 0.0
     a, b, level = (float(value) for value in solution[:3])
     return Alignment(
@@ -217,16 +232,49 @@ def align_plane(
     )
 
 
-def _sample(pair: GreyPair, rows: NDArray[np.intp], x: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the right image and its slope at (x, row), linearly interpolated, and which lie in the image."""
-    width = pair.right.shape[1]
-    inside = (x >= 1.0) & (x <= width - 2.0)
-    x = np.clip(x, 1.0, width - 2.001)
-    left = np.floor(x).astype(np.intp)
-    share = x - left
-    value = (1.0 - share) * pair.right[rows, left] + share * pair.right[rows, left + 1]
-    slope = (1.0 - share) * pair.right_x[rows, left] + share * pair.right_x[rows, left + 1]
-    return value, slope, inside
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Some pixels of the left image, and the right image where they are looked up.
+
+    Attributes:
+        columns: of the pixels, float64, shape (N,).
+        row_start: number of their rows' first pixels in the flat right image, shape (N,).
+        right, right_x: the flat right image and its derivative.
+        width: of the image.
+    """
+
+    columns: Array
+    row_start: NDArray[np.intp]
+    right: NDArray[np.float32]
+    right_x: NDArray[np.float32]
+    width: int
+
+    @classmethod
+    def of(cls, pair: GreyPair, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> _Samples:
+        width = pair.right.shape[1]
+        return cls(columns.astype(np.float64), rows * width, pair.right.ravel(), pair.right_x.ravel(), width)
+
+    def at(self, disparity_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return the right image and its slope at x - d, linearly interpolated, and which lie in the image."""
+        x = self.columns - disparity_px
+        inside = (x >= 1.0) & (x <= self.width - 2.0)
+        x = np.minimum(np.maximum(x, 1.0), self.width - 2.001)
+        left = x.astype(np.intp)
+        share = x - left
+        left += self.row_start
+        right = left + 1
+        value, slope = self.right[left], self.right_x[left]
+        return (
+            value + share * (self.right[right] - value),
+            slope + share * (self.right_x[right] - slope),
+            inside,
+        )
+
+
+def _median(values: Array) -> float:
+    """Return the middle value; of an even number the upper one of the two."""
+    middle = values.size // 2
+    return float(np.partition(values, middle)[middle])
 
 
 def _correlation(one: Array, other: Array) -> float:
