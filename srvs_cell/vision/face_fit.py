@@ -186,7 +186,7 @@ def fit_faces(
 
 def _in_front(outlines: Outlines, rig: RectifiedRig) -> NDArray[np.bool_]:
     """Whether all of each outline is in front of the cameras and finite."""
-    depth = rig.base_T_camera.inverse().apply(outlines.points_mm())[..., 2]
+    depth = rig.camera_T_base.apply(outlines.points_mm())[..., 2]
     return np.asarray(np.isfinite(depth).all(axis=1) & (depth.min(axis=1) > 1.0), dtype=np.bool_)
 
 
@@ -221,9 +221,8 @@ def _linearise(
 ) -> _Linearised:
     """Measure the edges and solve for a step; ``search_px``: half width, scale of the weight, step of a profile."""
     half_width_px, scale_px, step_px = search_px
-    camera_T_base = rig.base_T_camera.inverse()
-    points = camera_T_base.apply(outlines.points_mm())
-    along = camera_T_base.rotate(outlines.directions_mm())
+    points = rig.camera_T_base.apply(outlines.points_mm())
+    along = rig.camera_T_base.rotate(outlines.directions_mm())
     distances, found, jacobians = [], [], []
     for field, texture, shift_mm in zip(fields, textures, (0.0, rig.baseline_mm), strict=True):
         seen = points - (shift_mm, 0.0, 0.0)
@@ -237,7 +236,7 @@ def _linearise(
         covectors = np.concatenate(
             [normals, -(normals * seen[..., :2]).sum(axis=-1, keepdims=True) / seen[..., 2:]], axis=-1
         )
-        jacobians.append(outlines.change((covectors * scale) @ camera_T_base.rotation))
+        jacobians.append(outlines.change((covectors * scale) @ rig.camera_T_base.rotation))
         distances.append(distance)
         found.append(there)
     distance, there = np.stack(distances, axis=1), np.stack(found, axis=1)

@@ -136,7 +136,9 @@ def mask_outline_px(mask: NDArray[np.bool_], corner_px: tuple[int, int]) -> Arra
     return np.asarray(outer / 2.0 - 0.25 + corner_px, dtype=np.float64)
 
 
-def place_surface(border_px: Array, centre_px: Point2, match: PlaneMatch, rig: RectifiedRig) -> Surface | None:
+def place_surface(
+    border_px: Array, centre_px: Point2, match: PlaneMatch, rig: RectifiedRig, *, systematic: bool = True
+) -> Surface | None:
     """Place a region of the left image in the base frame by a disparity plane.
 
     Args:
@@ -144,6 +146,7 @@ def place_surface(border_px: Array, centre_px: Point2, match: PlaneMatch, rig: R
         centre_px: its centre.
         match: the match with the disparity plane.
         rig: the rectified cameras.
+        systematic: whether the covariance has the part of calibration and poses, which takes a while to find.
 
     Returns:
         The surface, or None where its disparity is not positive all over.
@@ -155,9 +158,12 @@ def place_surface(border_px: Array, centre_px: Point2, match: PlaneMatch, rig: R
     if min(float(disparity.min()), centre_disparity) <= 0.0:
         return None
     centre_mm = rig.points_mm(centre[:1], centre[1:], np.array([centre_disparity]))[0]
-    covariance = rig.error_budget.covariance_mm2(
-        centre_mm, sigma_x_px=PIXEL_SIGMA_PX, sigma_d_px=match.disparity_sigma_px
-    )
+    if systematic:
+        covariance = rig.error_budget.covariance_mm2(
+            centre_mm, sigma_x_px=PIXEL_SIGMA_PX, sigma_d_px=match.disparity_sigma_px
+        )
+    else:
+        covariance = _measured_mm2(centre, centre_disparity, match.disparity_sigma_px, rig)
     return Surface(
         id=match.left,
         centre_mm=_point(centre_mm),
@@ -166,6 +172,15 @@ def place_surface(border_px: Array, centre_px: Point2, match: PlaneMatch, rig: R
         covariance_mm2=covariance,
         match=match,
     )
+
+
+def _measured_mm2(centre_px: Array, disparity_px: float, disparity_sigma_px: float, rig: RectifiedRig) -> Array:
+    """Return the covariance of a point that its pixel and disparity alone cause, base frame, 3x3."""
+    ray = np.array([centre_px[0] - rig.cx_px, centre_px[1] - rig.cy_px, rig.f_px])
+    by_pixel = np.eye(3)[:, :2] * PIXEL_SIGMA_PX
+    by_disparity = -ray[:, None] / disparity_px * disparity_sigma_px
+    jacobian = rig.base_T_camera.rotation @ np.hstack([by_pixel, by_disparity]) * (rig.baseline_mm / disparity_px)
+    return np.asarray(jacobian @ jacobian.T, dtype=np.float64)
 
 
 def _normal(rig: RectifiedRig, match: PlaneMatch) -> Array:

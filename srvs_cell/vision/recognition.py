@@ -10,6 +10,7 @@ reported as unknown with its surfaces.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import cv2
@@ -24,7 +25,7 @@ from srvs_cell.vision.grasping import GraspParameters, plan_grasp
 from srvs_cell.vision.recovery import NO_PLANE, Region, find_places, stable_regions, unmatched_planes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage, Surface
@@ -134,9 +135,9 @@ def recognise(
     leftover = _add_tops(matched, tops, fields, rig, table_z_mm, limits)
     if limits.recover:
         planes = unmatched_planes(left, {surface.id for surface in matched})
-        for regions in (planes, stable_regions(left.grey)):
+        for find in (partial(_unknown_planes, planes), partial(stable_regions, left.grey)):
             found = find_places(
-                (region for region in regions if not _explained(region, tops, rig)),
+                find(_explainer(tops, rig)),
                 left.grey,
                 right.grey,
                 rig,
@@ -204,13 +205,21 @@ def _rank(fit: FaceFit) -> tuple[int, float]:
     return sureness, -fit.face.length_mm * fit.face.width_mm
 
 
-def _explained(region: Region, tops: list[_Top], rig: RectifiedRig) -> bool:
-    """Whether the middle of a region of the left image lies on a known top face."""
+def _unknown_planes(planes: list[Region], known: Callable[[tuple[float, float]], bool]) -> list[Region]:
+    return [region for region in planes if not known(region.centre_px)]
+
+
+def _explainer(tops: list[_Top], rig: RectifiedRig) -> Callable[[tuple[float, float]], bool]:
+    """Return whether a pixel of the left image lies on a known top face, as a function of the pixel."""
+    polygons = []
     for top in tops:
         x, y, _ = rig.project_px(top.fit.face.corners_mm())
-        if cv2.pointPolygonTest(np.column_stack([x, y]).astype(np.float32), region.centre_px, measureDist=False) > 0:
-            return True
-    return False
+        polygons.append(np.column_stack([x, y]).astype(np.float32))
+
+    def known(pixel: tuple[float, float]) -> bool:
+        return any(cv2.pointPolygonTest(polygon, pixel, measureDist=False) > 0 for polygon in polygons)
+
+    return known
 
 
 def _plan_area_mm2(surface: Surface) -> float:
@@ -357,12 +366,19 @@ def _inclined_starts(surface: Surface, rig: RectifiedRig) -> list[tuple[Face, bo
 
 def _laid_on(surface: Surface, rig: RectifiedRig, normal: Array) -> Array:
     """Return the convex hull, seen from above, of a region laid on a plane through its centre, shape (N, 2)."""
-    x, y, own = rig.project_px(surface.outline_mm)
+    x, y, own = _hull_px(surface, rig)
     a, b, c = rig.plane_disparity(normal, float(np.dot(normal, surface.centre_mm)))
     disparity = a * x + b * y + c
     # a plane that passes behind the camera somewhere says nothing there: the surface's own place is kept
     outline = rig.points_mm(x, y, np.where(disparity > 0.0, disparity, own))[:, :2]
     return np.asarray(cv2.convexHull(outline.astype(np.float32)), dtype=np.float64).reshape(-1, 2)
+
+
+def _hull_px(surface: Surface, rig: RectifiedRig) -> tuple[Array, Array, Array]:
+    """Return x, y and disparity of the corners of a region's convex hull in the left image: a hull stays one."""
+    x, y, own = rig.project_px(surface.outline_mm)
+    corners = cv2.convexHull(np.column_stack([x, y]).astype(np.float32), returnPoints=False).ravel()
+    return x[corners], y[corners], own[corners]
 
 
 def _bounding_rectangle(hull: Array, z_mm: float, direction_rad: float | None = None) -> Face:

@@ -10,6 +10,7 @@ of the best correlation gives it a place. Recognition verifies it by its edges i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import cv2
@@ -19,7 +20,7 @@ from srvs_cell.scene import PlaneMatch
 from srvs_cell.vision.lateral_stereo import mask_outline_px, place_surface
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable
 
     from numpy.typing import NDArray
 
@@ -46,6 +47,8 @@ _STABLE_VARIATION = 0.3
 _STABLE_DIVERSITY = 0.15
 _MIN_AREA_PX = 150
 _MIN_SOLIDITY = 0.88
+_MIN_BOX_SHARE = 0.4
+"""Less of its bounding box than this nothing fills that is solid: a convex figure fills half."""
 _SAME_OVERLAP = 0.85
 
 
@@ -63,7 +66,7 @@ class Region:
     mask: NDArray[np.bool_]
     corner_px: tuple[int, int]
 
-    @property
+    @cached_property
     def centre_px(self) -> tuple[float, float]:
         """Mean pixel position."""
         rows, columns = np.nonzero(self.mask)
@@ -80,8 +83,12 @@ def unmatched_planes(left: PlaneImage, matched: Collection[int]) -> list[Region]
     return regions
 
 
-def stable_regions(grey: NDArray[np.uint8]) -> list[Region]:
+def stable_regions(grey: NDArray[np.uint8], known: Callable[[tuple[float, float]], bool]) -> list[Region]:
     """Return maximally stable regions that are solid enough for a face, large before small, each kind once.
+
+    Args:
+        grey: the image.
+        known: whether a region with this centre needs no look.
 
     They are taken from the logarithm of the grey values: a dark face on a dark table has the same contrast then as a
     bright one on a bright table.
@@ -101,8 +108,11 @@ def stable_regions(grey: NDArray[np.uint8]) -> list[Region]:
     points_of = [np.asarray(points, dtype=np.int32) for points in pixels]
     regions: list[Region] = []
     for points, (x, y, width, height) in sorted(zip(points_of, boxes, strict=True), key=lambda one: -len(one[0])):
-        hull_area = cv2.contourArea(cv2.convexHull(points)) + 0.5 * cv2.arcLength(cv2.convexHull(points), closed=True)
-        if len(points) < _MIN_SOLIDITY * hull_area:
+        x_px, y_px = points.mean(axis=0)
+        if len(points) < _MIN_BOX_SHARE * width * height or known((float(x_px), float(y_px))):
+            continue
+        hull = cv2.convexHull(points)
+        if len(points) < _MIN_SOLIDITY * (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, closed=True)):
             continue
         mask = np.zeros((height, width), dtype=np.bool_)
         mask[points[:, 1] - y, points[:, 0] - x] = True
@@ -131,7 +141,7 @@ def find_places(
         size_range_mm: least and greatest extent of a face.
 
     Returns:
-        Surfaces, taken as level; their match has `NO_PLANE` on the right.
+        Surfaces, taken as level, without systematic errors; their match has `NO_PLANE` on the right.
     """
     surfaces = []
     grey_left, grey_right = (
@@ -149,7 +159,7 @@ def find_places(
         disparity, correlation = found
         level = _level_plane(rig, centre, disparity)
         match = PlaneMatch(region.plane, NO_PLANE, correlation, disparity, level, _SIGMA_PX)
-        surface = place_surface(mask_outline_px(region.mask, region.corner_px), centre, match, rig)
+        surface = place_surface(mask_outline_px(region.mask, region.corner_px), centre, match, rig, systematic=False)
         if surface is not None:
             surfaces.append(surface)
     return tuple(surfaces)

@@ -8,6 +8,7 @@ up small rotations between the poses and the lens distortion: the paper's third 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import cv2
@@ -51,6 +52,11 @@ class RectifiedRig:
         """How uncertain a triangulated point is."""
         return ErrorBudget(self.f_px, self.baseline_mm, self.base_T_camera, self.tcp_in_camera_mm, self.uncertainty)
 
+    @cached_property
+    def camera_T_base(self) -> Transform:
+        """The base frame in the left rectified camera's."""
+        return self.base_T_camera.inverse()
+
     def plane_disparity(self, normal: Array, offset_mm: float) -> tuple[float, float, float]:
         """Return (a, b, c) of the disparity d = a x + b y + c that the plane ``normal . P = offset_mm`` has.
 
@@ -64,7 +70,7 @@ class RectifiedRig:
         distance = offset_mm - float(np.dot(normal, self.base_T_camera.translation_mm))
         if distance == 0.0:
             raise ValueError("the plane runs through the left camera's centre")
-        n_x, n_y, n_z = self.base_T_camera.inverse().rotate(normal) * (self.baseline_mm / distance)
+        n_x, n_y, n_z = self.camera_T_base.rotate(normal) * (self.baseline_mm / distance)
         return float(n_x), float(n_y), float(self.f_px * n_z - n_x * self.cx_px - n_y * self.cy_px)
 
     def points_mm(self, x_px: Array, y_px: Array, disparity_px: Array) -> Array:
@@ -76,7 +82,7 @@ class RectifiedRig:
 
     def project_px(self, points_mm: Array) -> tuple[Array, Array, Array]:
         """Project base frame points of shape (..., 3): x and y in the left image, and the disparity, pixels."""
-        camera = self.base_T_camera.inverse().apply(points_mm)
+        camera = self.camera_T_base.apply(points_mm)
         scale = self.f_px / camera[..., 2]
         return (
             camera[..., 0] * scale + self.cx_px,

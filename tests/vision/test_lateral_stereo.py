@@ -14,6 +14,7 @@ from srvs_cell.vision.lateral_stereo import (
     equations_7_8_9,
     image_coordinates_mm,
     paper_transform,
+    place_surface,
     surfaces_from_matches,
 )
 from srvs_cell.vision.rectification import RectifiedRig
@@ -104,3 +105,17 @@ def test_a_match_behind_the_cameras_has_no_place() -> None:
     parts = [cuboid(470.0, 100.0, 60.0, 20.0, (50.0, 30.0), 200)]
     left, _, _ = planes(parts, cameras, paint(parts, cameras), disparity_noise_px=0.0)
     assert surfaces_from_matches(left, [PlaneMatch(1, 1, 0.9, -3.0, (0.0, 0.0, -3.0))], cameras) == ()
+
+
+def test_without_systematic_errors_the_covariance_is_that_of_pixel_and_disparity() -> None:
+    cameras = rig()
+    match = PlaneMatch(1, 1, 0.9, 40.0, (0.0, 0.0, 40.0), 0.3)
+    border = np.array([[250.0, 150.0], [300.0, 150.0], [300.0, 190.0], [250.0, 190.0]])
+    measured = place_surface(border, (275.0, 170.0), match, cameras, systematic=False)
+    whole = place_surface(border, (275.0, 170.0), match, cameras)
+    assert measured is not None
+    assert whole is not None
+    causes = cameras.error_budget.point_errors(whole.centre_mm, sigma_x_px=0.3, sigma_d_px=0.3)
+    random_mm2 = causes["pixel_x"] + causes["pixel_y"] + causes["disparity"]
+    assert measured.covariance_mm2 == pytest.approx(random_mm2, rel=1e-3, abs=1e-6)
+    assert (np.diag(whole.covariance_mm2) > np.diag(measured.covariance_mm2)).all()
