@@ -7,7 +7,7 @@ pixel beside it. Neighbouring regions of one surface become one plane, in the le
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -33,7 +33,12 @@ _TRIALS = 300
 _MIN_REGIONS = 2
 _POINTS = 3
 _GREY_LIMIT = 30.0
-_OUTSIDE_GREY = -1000.0
+_SAMPLED_PIXELS = 1000
+"""A larger region is judged by an even choice of about so many of its pixels."""
+_LATTICE = (0.7548776662466927, 0.5698402909980532)
+"""Steps of the two-dimensional low-discrepancy sequence (Roberts 2018)."""
+_ALL = slice(None)
+_SQUARE = np.ones((3, 3), np.uint8)
 _SOBEL_SCALE = 0.125
 _NOISE_GREY = 0.5
 """Costs that differ by less are alike: it is what rounding and noise cost."""
@@ -78,14 +83,22 @@ def group_surfaces(
     if not surfaces:
         return Grouping(left, right, tuple(matches))
     pair = GreyPair.of(left.grey, right.grey)
+    # regions lie on a surface to within the step: so well it is known before it is aligned
+    sigmas_px = [limits.max_step_px] * len(surfaces)
     owner = np.full(len(left.planes) + 1, -1, dtype=np.int_)
     own = np.full((len(left.planes) + 1, 3), np.nan)
     for match in matches:
         own[match.left] = match.disparity_plane
+    pixels = np.flatnonzero(left.labels)
+    region = left.labels.ravel()[pixels]
     for _ in range(_ROUNDS):
         owner = assign_regions(pair, left.labels, own, surfaces, limits)
-        surfaces = [_realigned(pair, left.labels, owner == k, plane, parameters) for k, plane in enumerate(surfaces)]
-    return _joined(left, right, matches, owner, surfaces, parameters, valid)
+        for k in np.unique(owner[owner >= 0]).tolist():
+            rows, columns = np.divmod(pixels[(owner == k)[region]], left.labels.shape[1])
+            aligned = align_plane(pair, rows, columns, surfaces[k], parameters.refinement)
+            if aligned is not None:
+                surfaces[k], sigmas_px[k] = aligned.plane, aligned.sigma_px
+    return _joined(left, right, matches, owner, list(zip(surfaces, sigmas_px, strict=True)), parameters, valid)
 
 
 def suggest_surfaces(
@@ -156,57 +169,59 @@ def assign_regions(
         limits: greatest cost, distinctness.
     """
     count = len(own)
-    weights = np.abs(cv2.Sobel(pair.left, cv2.CV_32F, 1, 0, scale=_SOBEL_SCALE)) + _LEAST_WEIGHT
-    flat = labels.ravel()
-    total = np.maximum(np.bincount(flat, weights=weights.ravel(), minlength=count), _LEAST_WEIGHT)
+    region, rows, columns = _sampled(labels, count)
+    weights = np.abs(cv2.Sobel(pair.left, cv2.CV_32F, 1, 0, scale=_SOBEL_SCALE))[rows, columns] + _LEAST_WEIGHT
+    total = np.maximum(np.bincount(region, weights=weights, minlength=count), _LEAST_WEIGHT)
+    x, y, target = columns.astype(np.float32), rows.astype(np.float32), pair.left[rows, columns]
 
-    def cost(planes: Array, shift_px: float) -> Array:
-        difference = _difference(pair, planes, shift_px) * weights
-        return np.asarray(np.bincount(flat, weights=difference.ravel(), minlength=count) / total)
+    def cost(planes: Array, shift_px: float, of: NDArray[np.bool_] | slice = _ALL) -> Array:
+        """Return the regions' costs under one plane or, shape (3, N), one for each pixel ``of`` the sampled ones."""
+        a, b, c = planes.astype(np.float32)
+        disparity = a * x[of] + b * y[of] + (c + np.float32(shift_px))
+        difference = _difference(pair, rows[of], x[of] - disparity, target[of]) * weights[of]
+        return np.asarray(np.bincount(region[of], weights=difference, minlength=count) / total)
 
-    planes = [np.array(plane).reshape(3, 1, 1) for plane in surfaces]
+    planes = np.array(surfaces)
     at = np.array([cost(plane, 0.0) for plane in planes])
-    beside = np.array([np.minimum(cost(plane, _BESIDE_PX), cost(plane, -_BESIDE_PX)) for plane in planes])
     best = np.argmin(at, axis=0)
-    number = np.arange(count)
-    lowest = at[best, number]
-    distinct = beside[best, number] > limits.distinctness * lowest
+    lowest = at[best, np.arange(count)]
     matched = np.isfinite(own).all(axis=1)
-    own_cost = cost(np.moveaxis(np.nan_to_num(own)[labels], -1, 0), 0.0)
-    as_good = lowest <= limits.distinctness * own_cost + _NOISE_GREY
+    as_good = lowest <= limits.distinctness * cost(np.nan_to_num(own)[region].T, 0.0) + _NOISE_GREY
+    # beside the surface, only the regions are looked at that have no plane of their own
+    open_to = (~matched & (lowest < limits.max_cost))[region]
+    nearest = planes[best[region[open_to]]].T
+    beside = np.minimum(cost(nearest, _BESIDE_PX, open_to), cost(nearest, -_BESIDE_PX, open_to))
+    distinct = beside > limits.distinctness * lowest
     chosen = np.where((lowest < limits.max_cost) & np.where(matched, as_good, distinct), best, -1)
     chosen[0] = -1
     return np.asarray(chosen)
 
 
-def _difference(pair: GreyPair, planes: Array, shift_px: float) -> NDArray[np.float32]:
-    """Return the bounded grey differences under planes (a, b, c), broadcast to shape (3, H, W)."""
-    height, width = pair.left.shape
-    a, b, c = planes.astype(np.float32)
-    columns = np.arange(width, dtype=np.float32)
-    rows = np.broadcast_to(np.arange(height, dtype=np.float32)[:, None], (height, width))
-    map_x = columns - (a * columns + b * rows + c + np.float32(shift_px))
-    shifted = cv2.remap(
-        pair.right,
-        map_x,
-        np.ascontiguousarray(rows),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=_OUTSIDE_GREY,
-    )
-    return np.asarray(np.minimum(np.abs(pair.left - shifted), _GREY_LIMIT), dtype=np.float32)
+def _sampled(labels: NDArray[np.int32], count: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Return region, row and column of every region's pixels, of a large region of a part of them, shape (N,)."""
+    pixels = np.flatnonzero(labels)
+    region = labels.ravel()[pixels].astype(np.intp)
+    rows, columns = np.divmod(pixels, labels.shape[1])
+    share = np.minimum(_SAMPLED_PIXELS / np.maximum(np.bincount(region, minlength=count), 1), 1.0)
+    # a lattice of irrational steps leaves pixels out evenly along every direction
+    kept = np.flatnonzero((_LATTICE[0] * columns + _LATTICE[1] * rows) % 1.0 < share[region])
+    return region[kept], rows[kept], columns[kept]
 
 
-def _realigned(
-    pair: GreyPair,
-    labels: NDArray[np.int32],
-    members: NDArray[np.bool_],
-    plane: DisparityPlane,
-    parameters: VisionParameters,
-) -> DisparityPlane:
-    rows, columns = np.nonzero(members[labels])
-    aligned = align_plane(pair, rows, columns, plane, parameters.refinement)
-    return plane if aligned is None else aligned.plane
+def _difference(
+    pair: GreyPair, rows: NDArray[np.intp], x: NDArray[np.float32], target: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the bounded grey differences of left pixels and the right image at (x, row), shape (N,)."""
+    width = pair.right.shape[1]
+    inside = (x >= 0.0) & (x <= width - 1.0)
+    x = np.minimum(np.maximum(x, np.float32(0.0)), np.float32(width - 1.001))
+    left = x.astype(np.intp)
+    share = x - left.astype(np.float32)
+    left += rows * width
+    flat = pair.right.ravel()
+    value = flat[left]
+    value += share * (flat[left + 1] - value)
+    return np.asarray(np.where(inside, np.minimum(np.abs(target - value), _GREY_LIMIT), _GREY_LIMIT), dtype=np.float32)
 
 
 def _joined(
@@ -214,7 +229,7 @@ def _joined(
     right: PlaneImage,
     matches: Sequence[PlaneMatch],
     owner: NDArray[np.int_],
-    surfaces: Sequence[DisparityPlane],
+    surfaces: Sequence[tuple[DisparityPlane, float]],
     parameters: VisionParameters,
     valid: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None],
 ) -> Grouping:
@@ -222,24 +237,22 @@ def _joined(
     labels_left, labels_right = left.labels.copy(), right.labels.copy()
     offset = max(len(left.planes), len(right.planes)) + 1
     partner = {match.left: match for match in matches}
-    joined: list[tuple[int, DisparityPlane, float]] = []
+    joined: list[tuple[int, DisparityPlane, float, float]] = []
+    outlines = _outlines(left.labels)
     # the far surfaces first, so that the near ones hide them in the right image
-    order = sorted(range(len(surfaces)), key=lambda k: _level(left, surfaces[k]))
+    order = sorted(range(len(surfaces)), key=lambda k: _level(left, surfaces[k][0]))
     for k in order:
-        member = (owner == k)[left.labels]
-        count, parts = cv2.connectedComponents(_closed(member).astype(np.uint8), connectivity=4)
-        for part in range(1, count):
-            inside = (parts == part) & member
-            regions = np.unique(left.labels[inside])
-            if regions.size < _MIN_REGIONS:
-                continue
+        plane, sigma_px = surfaces[k]
+        for regions in _neighbours_among(left, owner == k):
             scores = [partner[region].score for region in regions.tolist() if region in partner]
             if not scores:
                 continue
-            filled = _with_enclosed(left.labels, inside, parameters.grouping.min_enclosure)
-            labels_left[filled] = offset
-            labels_right[_shifted(filled, surfaces[k])] = offset
-            joined.append((offset, surfaces[k], float(np.mean(scores))))
+            chosen = _with_enclosed(left, regions, outlines, parameters.grouping.min_enclosure)
+            window = _window(left, np.flatnonzero(chosen))
+            filled = chosen[left.labels[window]]
+            labels_left[window][filled] = offset
+            _paint_shifted(labels_right, filled, window, plane, offset)
+            joined.append((offset, plane, float(np.mean(scores)), sigma_px))
             offset += 1
     if not joined:
         return Grouping(left, right, tuple(matches))
@@ -251,11 +264,13 @@ def _joined(
     for match in matches:
         new_left, new_right = id_left.get(match.left, 0), id_right.get(match.right, 0)
         if new_left and new_right:
-            renewed.append(_moved(match, new_left, new_right, match.disparity_plane, centres[new_left], match.score))
-    for label, plane, score in joined:
+            level = float(disparity_at(match.disparity_plane, *centres[new_left]))
+            renewed.append(replace(match, left=new_left, right=new_right, disparity_px=level))
+    for label, plane, score, sigma_px in joined:
         new_left, new_right = id_left.get(label, 0), id_right.get(label, 0)
         if new_left and new_right:
-            renewed.append(_moved(None, new_left, new_right, plane, centres[new_left], score))
+            level = float(disparity_at(plane, *centres[new_left]))
+            renewed.append(PlaneMatch(new_left, new_right, score, level, plane, sigma_px))
     return Grouping(
         PlaneImage(left.grey, number_left, planes_left),
         PlaneImage(right.grey, number_right, planes_right),
@@ -263,38 +278,47 @@ def _joined(
     )
 
 
-def _moved(
-    match: PlaneMatch | None,
-    left: int,
-    right: int,
-    plane: DisparityPlane,
-    centre: tuple[float, float],
-    score: float,
-) -> PlaneMatch:
-    sigma_px = match.disparity_sigma_px if match is not None else 0.1
-    return PlaneMatch(left, right, score, float(disparity_at(plane, *centre)), plane, sigma_px)
-
-
 def _level(image: PlaneImage, plane: DisparityPlane) -> float:
     height, width = image.grey.shape
     return float(disparity_at(plane, width / 2.0, height / 2.0))
 
 
-def _closed(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the mask with slits of rejected slivers between its regions closed."""
-    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0)
+def _window(image: PlaneImage, ids: NDArray[np.intp]) -> tuple[slice, slice]:
+    """Return the rows and columns that hold some planes and one pixel around them."""
+    x, y, width, height = np.array([image.planes[plane - 1].box_px for plane in ids.tolist()]).T
+    top, left = max(int(y.min()) - 1, 0), max(int(x.min()) - 1, 0)
+    return slice(top, int((y + height).max()) + 1), slice(left, int((x + width).max()) + 1)
 
 
-def _with_enclosed(labels: NDArray[np.int32], inside: NDArray[np.bool_], min_enclosure: float) -> NDArray[np.bool_]:
-    """Return a surface's pixels with those of the regions that it encloses."""
-    grown = cv2.dilate(inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    count = int(labels.max()) + 1
-    border = _outlines(labels)
-    length = np.bincount(labels[border], minlength=count)
-    touching = np.bincount(labels[border & grown], minlength=count)
+def _neighbours_among(image: PlaneImage, member: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Return the groups of at least two member planes that lie beside each other, or but for a slit of a sliver."""
+    ids = np.flatnonzero(member)
+    if ids.size < _MIN_REGIONS:
+        return []
+    labels = image.labels[_window(image, ids)]
+    inside = member[labels].astype(np.uint8)
+    _, found = cv2.connectedComponents(cv2.morphologyEx(inside, cv2.MORPH_CLOSE, _SQUARE), connectivity=4)
+    group = np.zeros(member.size, dtype=np.intp)
+    group[labels[inside > 0]] = found[inside > 0]
+    groups = [ids[group[ids] == number] for number in np.unique(group[ids])]
+    return [regions for regions in groups if regions.size >= _MIN_REGIONS]
+
+
+def _with_enclosed(
+    image: PlaneImage, regions: NDArray[np.intp], outlines: NDArray[np.bool_], min_enclosure: float
+) -> NDArray[np.bool_]:
+    """Return which planes are among the regions or enclosed by them, shape (planes + 1,)."""
+    count = len(image.planes) + 1
+    chosen = np.zeros(count, dtype=np.bool_)
+    chosen[regions] = True
+    window = _window(image, regions)
+    labels = image.labels[window]
+    grown = cv2.dilate(chosen[labels].astype(np.uint8), _SQUARE) > 0
+    touching = np.bincount(labels[outlines[window] & grown], minlength=count)
+    length = np.bincount(image.labels[outlines], minlength=count)
     enclosed = touching >= min_enclosure * np.maximum(length, 1)
     enclosed[0] = False
-    return np.asarray(inside | enclosed[labels])
+    return np.asarray(chosen | enclosed)
 
 
 def _outlines(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -308,15 +332,28 @@ def _outlines(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
     return outline
 
 
-def _shifted(mask: NDArray[np.bool_], plane: DisparityPlane) -> NDArray[np.bool_]:
-    """Return where the pixels of a left mask lie in the right image."""
-    height, width = mask.shape
+def _paint_shifted(
+    labels: NDArray[np.int32], filled: NDArray[np.bool_], window: tuple[slice, slice], plane: DisparityPlane, label: int
+) -> None:
+    """Write a label where the pixels of a left mask lie in the right image, in place."""
     a, b, c = plane
-    columns, rows = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    rows, columns = np.arange(window[0].start, window[0].start + filled.shape[0]), window[1]
+    edge = np.array([columns.start - 1, columns.start + filled.shape[1]])
+    seen = edge[:, None] - disparity_at(plane, edge[:, None], rows[[0, -1]])
+    first, last = max(int(seen.min()), 0), min(int(seen.max()) + 1, labels.shape[1] - 1)
+    if last < first:
+        return
     # x_R = x_L - (a x_L + b y + c)
-    map_x = (columns + np.float32(b) * rows + np.float32(c)) / np.float32(1.0 - a)
-    moved = cv2.remap(mask.astype(np.uint8), map_x, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
-    return np.asarray(moved > 0)
+    map_x = (np.arange(first, last + 1) + b * rows[:, None] + c) / (1.0 - a) - columns.start
+    map_y = np.broadcast_to(np.arange(rows.size, dtype=np.float32)[:, None], map_x.shape)
+    moved = cv2.remap(
+        filled.astype(np.uint8),
+        map_x.astype(np.float32),
+        np.ascontiguousarray(map_y),
+        cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_CONSTANT,
+    )
+    labels[window[0], first : last + 1][moved > 0] = label
 
 
 def _renumbered(before: NDArray[np.int32], after: NDArray[np.int32]) -> dict[int, int]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srvs_cell.vision.edges import smooth
+from srvs_cell.vision.runs import RowRuns
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -67,12 +68,14 @@ def find_row_ends(
         valid: pixels that belong to the image; all where None.
     """
     height, width = labels.shape
-    rows, columns = np.nonzero(labels)
-    key = labels[rows, columns].astype(np.int64) * height + rows
-    low = np.full((count + 1) * height, width, dtype=np.int64)
-    high = np.full((count + 1) * height, -1, dtype=np.int64)
-    np.minimum.at(low, key, columns)
-    np.maximum.at(high, key, columns)
+    runs = RowRuns.of(labels)
+    key = runs.label * height + runs.row
+    low = np.full((count + 1) * height, width)
+    high = np.full((count + 1) * height, -1)
+    np.minimum.at(low, key, runs.first)
+    np.maximum.at(high, key, runs.last)
+    # what belongs to no plane has no ends
+    high[:height] = -1
     present = np.flatnonzero(high >= 0)
     row = present % height
     image = smooth(grey, _SMOOTHING_PX)
