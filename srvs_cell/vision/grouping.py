@@ -35,8 +35,9 @@ _POINTS = 3
 _GREY_LIMIT = 30.0
 _SAMPLED_PIXELS = 1000
 """A larger region is judged by an even choice of about so many of its pixels."""
-_LATTICE = (0.7548776662466927, 0.5698402909980532)
-"""Steps of the two-dimensional low-discrepancy sequence (Roberts 2018)."""
+_LATTICE = (49472, 37345)
+"""Steps of the two-dimensional low-discrepancy sequence (Roberts 2018), in 65536ths."""
+_LATTICE_MASK = 65535
 _ALL = slice(None)
 _SQUARE = np.ones((3, 3), np.uint8)
 _SOBEL_SCALE = 0.125
@@ -91,8 +92,9 @@ def group_surfaces(
         own[match.left] = match.disparity_plane
     pixels = np.flatnonzero(left.labels)
     region = left.labels.ravel()[pixels]
+    samples = sample_regions(left.labels, len(own))
     for _ in range(_ROUNDS):
-        owner = assign_regions(pair, left.labels, own, surfaces, limits)
+        owner = assign_regions(pair, samples, own, surfaces, limits)
         for k in np.unique(owner[owner >= 0]).tolist():
             rows, columns = np.divmod(pixels[(owner == k)[region]], left.labels.shape[1])
             aligned = align_plane(pair, rows, columns, surfaces[k], parameters.refinement)
@@ -152,7 +154,7 @@ def _through_three(points: Array, area: Array, generator: np.random.Generator) -
 
 def assign_regions(
     pair: GreyPair,
-    labels: NDArray[np.int32],
+    samples: tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]],
     own: Array,
     surfaces: Sequence[DisparityPlane],
     limits: GroupingParameters,
@@ -163,13 +165,13 @@ def assign_regions(
 
     Args:
         pair: the prepared images.
-        labels: regions of the left image, int32, shape (H, W).
+        samples: region, row and column of pixels of the left image, as `sample_regions` chooses them.
         own: (a, b, c) of every label's own plane, NaN where it has none, shape (labels, 3).
         surfaces: their disparity planes.
         limits: greatest cost, distinctness.
     """
     count = len(own)
-    region, rows, columns = _sampled(labels, count)
+    region, rows, columns = samples
     weights = np.abs(cv2.Sobel(pair.left, cv2.CV_32F, 1, 0, scale=_SOBEL_SCALE))[rows, columns] + _LEAST_WEIGHT
     total = np.maximum(np.bincount(region, weights=weights, minlength=count), _LEAST_WEIGHT)
     x, y, target = columns.astype(np.float32), rows.astype(np.float32), pair.left[rows, columns]
@@ -197,14 +199,17 @@ def assign_regions(
     return np.asarray(chosen)
 
 
-def _sampled(labels: NDArray[np.int32], count: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+def sample_regions(
+    labels: NDArray[np.int32], count: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Return region, row and column of every region's pixels, of a large region of a part of them, shape (N,)."""
     pixels = np.flatnonzero(labels)
     region = labels.ravel()[pixels].astype(np.intp)
     rows, columns = np.divmod(pixels, labels.shape[1])
     share = np.minimum(_SAMPLED_PIXELS / np.maximum(np.bincount(region, minlength=count), 1), 1.0)
     # a lattice of irrational steps leaves pixels out evenly along every direction
-    kept = np.flatnonzero((_LATTICE[0] * columns + _LATTICE[1] * rows) % 1.0 < share[region])
+    place = (_LATTICE[0] * columns + _LATTICE[1] * rows) & _LATTICE_MASK
+    kept = np.flatnonzero(place <= (share * _LATTICE_MASK)[region])
     return region[kept], rows[kept], columns[kept]
 
 

@@ -41,8 +41,6 @@ _ROUGH_PIXELS = 500
 _MIN_CONTRAST = 5.0
 """Standard deviation in grey values below which the noise spoils the correlation."""
 _RANGE_MARGIN_PX = 1.0
-_UNCHANGED = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-"""No slope, and the same brightness in both images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +95,10 @@ def refine_matches(
         rows, columns = _with_band(left, plane, parameters.band_px)
         alignment = _best_alignment(pair, rows, columns, match, plane.centre_px, parameters)
         better = match
-        if alignment is not None:
-            if alignment.contrast > _MIN_CONTRAST and alignment.correlation < parameters.min_correlation:
-                continue
+        agrees = alignment is not None and alignment.correlation >= parameters.min_correlation
+        if alignment is not None and not agrees and alignment.contrast > _MIN_CONTRAST:
+            continue
+        if alignment is not None and agrees:
             x, y = plane.centre_px
             a, b, c = alignment.plane
             better = replace(
@@ -196,7 +195,11 @@ def align_plane(
     samples = _Samples.of(pair, rows, columns)
     solution = np.array([a, b, a * middle_x + b * middle_y + c, 1.0, 0.0])
     first_level = solution[2]
-    prior = np.diag([(_NOISE_GREY / _SLOPE_SIGMA) ** 2] * 2 + [0.0, 1e-3, 1e-3])
+    # without contrast nothing but this holds the plane
+    prior = np.diag(
+        [(_NOISE_GREY / _SLOPE_SIGMA) ** 2] * 2 + [(_NOISE_GREY / parameters.max_shift_px) ** 2, 1e-3, 1e-3]
+    )
+    expected = np.array([0.0, 0.0, first_level, 1.0, 0.0])
     target = pair.left[rows, columns].astype(np.float64)
     variance, normal = 0.0, prior
     jacobian = np.ones((len(solution), rows.size))
@@ -212,7 +215,7 @@ def align_plane(
         jacobian[3] = seen
         weighted = jacobian * weight
         normal = weighted @ jacobian.T + prior
-        step = np.linalg.solve(normal, weighted @ residual - prior @ (solution - _UNCHANGED))
+        step = np.linalg.solve(normal, weighted @ residual - prior @ (solution - expected))
         step[:3] *= min(1.0, 1.0 / max(abs(float(step[2])), 1e-9))
         solution = solution + step
         variance = float(weight @ residual**2 / max(weight.sum(), 1.0))
@@ -265,8 +268,8 @@ class _Samples:
         right = left + 1
         value, slope = self.right[left], self.right_x[left]
         return (
-            value + share * (self.right[right] - value),
-            slope + share * (self.right_x[right] - slope),
+            np.asarray(value + share * (self.right[right] - value), dtype=np.float64),
+            np.asarray(slope + share * (self.right_x[right] - slope), dtype=np.float64),
             inside,
         )
 
