@@ -27,6 +27,8 @@ from srvs_cell.vision.recovery import NO_PLANE, Region, find_places, stable_regi
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from numpy.typing import NDArray
+
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage, Surface
     from srvs_cell.vision.face_fit import Effort
@@ -38,7 +40,7 @@ _WALL_TILT_DEG = 65.0
 """A matched plane that leans more is a side face."""
 _LEVEL_TILT_DEG = 5.0
 """A well matched plane that leans less is level."""
-_SLOPE_SIGMA_PX = 0.1
+_SLOPE_SIGMA_PX = 0.12
 _SHARED_PLACE = 0.4
 """Share of the smaller footprint that measuring errors never let two neighbours share."""
 _SURE_RMS_PX = 0.4
@@ -47,12 +49,29 @@ _CERTAIN_RMS_PX = 0.15
 """A figure that fits like this leaves nothing for another one to explain."""
 _PROMISING_PX = 0.6
 """A figure that fits worse than the best by more, after scouting, is given up."""
+_DOUBT_FACTOR = 6.0
+"""Standard deviation that an edge misfit of a pixel more than the sure one adds, pixels."""
+_RETRY_RMS_PX = 0.2
+"""A rectangle that fits worse is tried again from other starts."""
+_LOST_RMS_PX = 1.0
+"""A rectangle that fits worse is a side face or a shadow: its region leads nowhere."""
+_PULLS = (0.12, 0.25)
+"""Shares of a side by which the neighbouring side is moved inwards."""
+_RETRIED_INCLINED = 6
+"""So many inclined figures of a surface are settled when it is tried again."""
+_DOUBLING_DEG = 10.0
+"""Contradiction of measured and fitted attitude that doubles the doubt in a fit."""
+_ALONG_SLOPE = float(np.cos(np.pi / 4.0))
 _START_SLOPE = 0.36
 """20 degrees: from here the edges of inclinations from 5 to 35 degrees are within reach."""
 _SIDES = 4
 _UP = np.array([0.0, 0.0, 1.0])
 _SIDE_FACE_MARGIN_MM = 4.0
+_SILHOUETTE_MARGIN_PX = 4.0
 _COLUMN_SHARE = 0.5
+_STEEP_TILT_DEG = 30.0
+_STEEP_SHARE = 0.15
+"""A steep surface that only touches a part is its side face with shadow."""
 _TOP_MARGIN_MM = 5.0
 
 
@@ -149,6 +168,8 @@ def recognise(
     unknown: list[Surface] = []
     for surface in leftover:
         owner = _column(np.array([surface.centre_mm]), surface.centre_mm[2], tops)
+        if owner is None:
+            owner = _silhouette(surface, tops, rig, table_z_mm)
         if owner is not None:
             tops[owner] = tops[owner].joined(surface)
         elif _rises(surface, table_z_mm, limits):
@@ -173,7 +194,7 @@ def _add_tops(
     found.sort(key=lambda one: _rank(one[1]))
     for surface, fit in found:
         owner = _column(fit.face.corners_mm(), min(surface.centre_mm[2], fit.face.z_mm), tops)
-        if owner is None:
+        if owner is None or _rank(tops[owner].fit)[0] > _rank(fit)[0]:
             tops.append(_Top(fit, ()).joined(surface))
         else:
             tops[owner] = tops[owner].joined(surface)
@@ -210,9 +231,11 @@ def _unknown_planes(planes: list[Region], known: Callable[[tuple[float, float]],
 
 
 def _explainer(tops: list[_Top], rig: RectifiedRig) -> Callable[[tuple[float, float]], bool]:
-    """Return whether a pixel of the left image lies on a known top face, as a function of the pixel."""
+    """Return whether a pixel of the left image lies on a surely known top face, as a function of it."""
     polygons = []
     for top in tops:
+        if top.fit.rms_px > _SURE_RMS_PX:
+            continue
         x, y, _ = rig.project_px(top.fit.face.corners_mm())
         polygons.append(np.column_stack([x, y]).astype(np.float32))
 
@@ -244,11 +267,13 @@ def _fit_tops(
         if _may_be_top(surface, table_z_mm, limits)
         for face, inclined in (*_level_starts(surface, rig), *_inclined_starts(surface, rig))
     ]
-    scouted = _promising(_fitted(starts, fields, rig, SCOUT, limits))
+    scouted = _promising(_fitted(starts, fields, rig, SCOUT, limits), inclined=1)
     settled = _fitted([start for start, _ in scouted], fields, rig, SETTLE, limits)
+    retried = _promising(_fitted(_retries(settled, surfaces), fields, rig, SCOUT, limits), inclined=_RETRIED_INCLINED)
+    settled += _fitted([start for start, _ in retried], fields, rig, SETTLE, limits)
     best: dict[int, _Start] = {}
     for number in range(len(surfaces)):
-        chosen = _chosen([(start, fit) for start, fit in settled if start.number == number], limits)
+        chosen = _chosen([(start, fit) for start, fit in settled if start.number == number], surfaces[number], limits)
         if chosen is not None:
             best[number] = chosen
     measured = _fitted(list(best.values()), fields, rig, MEASURE, limits)
@@ -285,24 +310,83 @@ def _fitted(
     return [(replace(start, face=fit.face), fit) for start, fit in zip(starts, fits, strict=True) if fit is not None]
 
 
-def _promising(fitted: list[tuple[_Start, FaceFit]]) -> list[tuple[_Start, FaceFit]]:
-    """Return of each surface the figures that fit about as well as the best, of inclined ones only the best."""
+def _promising(fitted: list[tuple[_Start, FaceFit]], inclined: int) -> list[tuple[_Start, FaceFit]]:
+    """Return of each surface the figures that fit about as well as the best, of inclined ones the best few."""
     kept = []
     for number in sorted({start.number for start, _ in fitted}):
         mine = [one for one in fitted if one[0].number == number]
         level = [one for one in mine if not one[0].inclined]
-        inclined = sorted((one for one in mine if one[0].inclined), key=_misfit)[:1]
-        kept += [one for one in (*level, *inclined) if _misfit(one) <= min(map(_misfit, mine)) + _PROMISING_PX]
+        sloped = sorted((one for one in mine if one[0].inclined), key=_misfit)[:inclined]
+        kept += [one for one in (*level, *sloped) if _misfit(one) <= min(map(_misfit, mine)) + _PROMISING_PX]
     return kept
+
+
+def _retries(settled: list[tuple[_Start, FaceFit]], surfaces: Sequence[Surface]) -> list[_Start]:
+    """Return more starts for rectangles that fit badly: smaller on one side, and by the measured slope.
+
+    A region with a sliver of side face or shadow is too large on that side, so that a wrong edge is nearest. Edges are
+    sought outwards from inside the face: a start inside the face meets its own edge first.
+    """
+    starts = []
+    for number in sorted({start.number for start, _ in settled}):
+        mine = [one for one in settled if one[0].number == number]
+        best = min(mine, key=_misfit)
+        if not _RETRY_RMS_PX < _misfit(best) < _LOST_RMS_PX or best[0].face.figure is not Figure.RECTANGLE:
+            continue
+        bases = [one[0] for one in mine if one[0].face.figure is Figure.RECTANGLE]
+        if _has_slope(surfaces[number]) and _tilt_deg(surfaces[number]) >= _LEVEL_TILT_DEG:
+            bases.append(replace(best[0], face=_sloped(best[0].face, surfaces[number]), inclined=True))
+        starts += [replace(base, face=smaller) for base in bases for smaller in _pulled_in(base.face)]
+    return starts
+
+
+def _has_slope(surface: Surface) -> bool:
+    """Whether the slope of a surface was measured well enough to be believed."""
+    return surface.match.right != NO_PLANE and surface.match.disparity_sigma_px <= _SLOPE_SIGMA_PX
+
+
+def _sloped(face: Face, surface: Surface) -> Face:
+    """Return a rectangle with its length along the measured slope and that slope."""
+    fall = np.array(surface.normal[:2]) / surface.normal[2]
+    for _ in range(_SIDES):
+        along = -float(fall @ (np.cos(face.angle_rad), np.sin(face.angle_rad)))
+        if along >= float(np.linalg.norm(fall)) * _ALONG_SLOPE:
+            break
+        face = face.quarter_turned()
+    return replace(face, slope_u=along, slope_v=0.0)
+
+
+def _pulled_in(face: Face) -> list[Face]:
+    """Return a rectangle itself, and with each side moved inwards a little and more."""
+    cos, sin = np.cos(face.angle_rad), np.sin(face.angle_rad)
+    smaller = [face]
+    for share in _PULLS:
+        for side in (-1.0, 1.0):
+            along, across = side * share * face.length_mm / 2.0, side * share * face.width_mm / 2.0
+            shorter = replace(face, x_mm=face.x_mm - cos * along, y_mm=face.y_mm - sin * along)
+            narrower = replace(face, x_mm=face.x_mm + sin * across, y_mm=face.y_mm - cos * across)
+            smaller.append(
+                replace(shorter, z_mm=face.z_mm - face.slope_u * along, length_mm=face.length_mm * (1.0 - share))
+            )
+            smaller.append(replace(narrower, width_mm=face.width_mm * (1.0 - share)))
+    return smaller
 
 
 def _misfit(fitted: tuple[_Start, FaceFit]) -> float:
     return fitted[1].rms_px
 
 
-def _chosen(fitted: list[tuple[_Start, FaceFit]], limits: RecognitionParameters) -> _Start | None:
-    """Return the figure of one surface: the one that fits best, an inclined one only where it fits clearly better."""
-    level = min((one for one in fitted if not one[0].inclined), key=_misfit, default=None)
+def _chosen(fitted: list[tuple[_Start, FaceFit]], surface: Surface, limits: RecognitionParameters) -> _Start | None:
+    """Return the figure of one surface: the one that fits best, an inclined one only where it fits clearly better.
+
+    A figure that contradicts the measured slope of its surface must fit better for it. Where no slope was measured, a
+    sliver of side face lets a level face look a little inclined: an inclination must explain the edges then.
+    """
+
+    def doubt(one: tuple[_Start, FaceFit]) -> float:
+        return _misfit(one) * (1.0 + _contradiction_deg(one[1].face, surface) / _DOUBLING_DEG)
+
+    level = min((one for one in fitted if not one[0].inclined), key=doubt, default=None)
     inclined = min(
         (
             one
@@ -310,13 +394,25 @@ def _chosen(fitted: list[tuple[_Start, FaceFit]], limits: RecognitionParameters)
             if one[0].inclined
             and limits.min_inclination_deg <= one[1].face.inclination_deg <= limits.max_inclination_deg
         ),
-        key=_misfit,
+        key=doubt,
         default=None,
     )
     if inclined is None or level is None:
         chosen = level or inclined
         return None if chosen is None else chosen[0]
-    return inclined[0] if _misfit(inclined) < limits.inclined_gain * _misfit(level) else level[0]
+    if not _has_slope(surface) and doubt(level) < _SURE_RMS_PX and doubt(inclined) > _RETRY_RMS_PX:
+        return level[0]
+    return inclined[0] if doubt(inclined) < limits.inclined_gain * doubt(level) else level[0]
+
+
+def _contradiction_deg(face: Face, surface: Surface) -> float:
+    """Return by how much more than measuring errors explain a figure's attitude differs from its surface's."""
+    if not _has_slope(surface):
+        return 0.0
+    cos, sin = np.cos(face.angle_rad), np.sin(face.angle_rad)
+    normal = np.array([-face.slope_u * cos + face.slope_v * sin, -face.slope_u * sin - face.slope_v * cos, 1.0])
+    agreement = float(normal @ surface.normal) / float(np.linalg.norm(normal))
+    return max(0.0, float(np.rad2deg(np.arccos(np.clip(agreement, -1.0, 1.0)))) - _LEVEL_TILT_DEG)
 
 
 def _may_be_top(surface: Surface, table_z_mm: float, limits: RecognitionParameters) -> bool:
@@ -350,9 +446,10 @@ def _level_starts(surface: Surface, rig: RectifiedRig) -> list[tuple[Face, bool]
 
 def _inclined_starts(surface: Surface, rig: RectifiedRig) -> list[tuple[Face, bool]]:
     """Return rectangles inclined along each of their sides; none where the slope is measured and level."""
-    measured = surface.match.right != NO_PLANE and surface.match.disparity_sigma_px <= _SLOPE_SIGMA_PX
     hull = _laid_on(surface, rig, _UP)
-    if (measured and _tilt_deg(surface) < _LEVEL_TILT_DEG) or cv2.contourArea(hull.astype(np.float32)) <= 0.0:
+    if (_has_slope(surface) and _tilt_deg(surface) < _LEVEL_TILT_DEG) or cv2.contourArea(
+        hull.astype(np.float32)
+    ) <= 0.0:
         return []
     level = _bounding_rectangle(hull, surface.centre_mm[2])
     starts = []
@@ -437,6 +534,35 @@ def _column(outline_mm: Array, z_mm: float, tops: list[_Top]) -> int | None:
     return None
 
 
+def _silhouette(surface: Surface, tops: list[_Top], rig: RectifiedRig, table_z_mm: float) -> int | None:
+    """Return the top whose part, standing on the table, covers most of a surface's outline in either image.
+
+    What lies in the picture of a part and is not its top is its side face, whatever place a false match gave it.
+    """
+    outline = _pictures(surface.outline_mm, rig)
+    needed = _STEEP_SHARE if _tilt_deg(surface) > _STEEP_TILT_DEG else _COLUMN_SHARE
+    for number, top in enumerate(tops):
+        corners = top.fit.face.corners_mm()
+        feet = corners * (1.0, 1.0, 0.0) + (0.0, 0.0, table_z_mm)
+        shares = []
+        for seen, part in zip(outline, _pictures(np.concatenate([corners, feet]), rig), strict=True):
+            hull = cv2.convexHull(part)
+            inside = [
+                cv2.pointPolygonTest(hull, (float(x), float(y)), measureDist=True) > -_SILHOUETTE_MARGIN_PX
+                for x, y in seen
+            ]
+            shares.append(float(np.mean(inside)))
+        if max(shares) > needed:
+            return number
+    return None
+
+
+def _pictures(points_mm: Array, rig: RectifiedRig) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return points' pixels in the left and in the right image, each float32, shape (N, 2)."""
+    x, y, disparity = rig.project_px(points_mm)
+    return np.column_stack([x, y]).astype(np.float32), np.column_stack([x - disparity, y]).astype(np.float32)
+
+
 def _rises(surface: Surface, table_z_mm: float, limits: RecognitionParameters) -> bool:
     """Whether a surface is a face of something that stands on the table, and no wall."""
     height_mm = surface.centre_mm[2] - table_z_mm
@@ -451,7 +577,10 @@ def _rises(surface: Surface, table_z_mm: float, limits: RecognitionParameters) -
 def _workpiece(top: _Top, rig: RectifiedRig, table_z_mm: float, limits: RecognitionParameters) -> Workpiece:
     face = _long_side_first(top.fit.face)
     centre = (face.x_mm, face.y_mm, face.z_mm)
-    covariance = top.fit.covariance_mm2 + rig.error_budget.systematic_mm2(centre)
+    mm_per_px = (rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
+    # edges that do not fit are another face's or a shadow's, and may have moved a side by some times their misfit
+    doubt_mm = _DOUBT_FACTOR * max(0.0, top.fit.rms_px - _SURE_RMS_PX) * float(mm_per_px)
+    covariance = top.fit.covariance_mm2 + rig.error_budget.systematic_mm2(centre) + np.eye(3) * doubt_mm**2
     grasp, refusal = plan_grasp(face, covariance, table_z_mm, limits.grasp)
     return Workpiece(
         id=0,
