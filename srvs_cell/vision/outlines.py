@@ -7,6 +7,7 @@ slope along the length), some of which are held: whatever is done to one is one 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,7 +59,7 @@ class Outlines:
             inclined: whether the slope along the length of each is free; only a rectangle's can be.
             samples: number of samples on each outline, a multiple of 12.
         """
-        sampled = [_sample(face, samples) for face in faces]
+        sampled = [_sample(face.figure, _counts(face, samples)) for face in faces]
         unit, tangents, first, last = (np.stack(parts) for parts in zip(*sampled, strict=True))
         values = np.array(
             [
@@ -146,16 +147,18 @@ class Outlines:
         return np.stack([cos * u - sin * v, sin * u + cos * v, self.values[:, _SLOPE, None] * u], axis=-1)
 
 
-def _sample(face: Face, samples: int) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+@lru_cache(maxsize=256)
+def _sample(figure: Figure, counts: tuple[int, ...]) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Return samples and directions of an outline in its unit square, and which are the first and last of a side."""
-    if face.figure is Figure.CIRCLE:
+    if figure is Figure.CIRCLE:
+        (samples,) = counts
         turn = np.arange(samples) * (2.0 * np.pi / samples)
         points = np.column_stack([np.cos(turn), np.sin(turn)])
         number = np.arange(samples)
         return points, np.column_stack([-points[:, 1], points[:, 0]]), number == 0, number == samples - 1
-    corners = unit_corners(face.figure)
+    corners = unit_corners(figure)
     pieces, tangents, first, last = [], [], [], []
-    for start, end, count in zip(corners, np.roll(corners, -1, axis=0), _counts(face, samples), strict=True):
+    for start, end, count in zip(corners, np.roll(corners, -1, axis=0), counts, strict=True):
         share = np.linspace(_CORNER_SHARE, 1.0 - _CORNER_SHARE, count)[:, None]
         pieces.append(start + share * (end - start))
         tangents.append(np.broadcast_to(end - start, (count, 2)))
@@ -165,15 +168,17 @@ def _sample(face: Face, samples: int) -> tuple[Array, Array, NDArray[np.bool_], 
     return np.concatenate(pieces), np.concatenate(tangents), np.concatenate(first), np.concatenate(last)
 
 
-def _counts(face: Face, samples: int) -> list[int]:
+def _counts(face: Face, samples: int) -> tuple[int, ...]:
     """Return the number of samples on each side: a rectangle's by their lengths."""
+    if face.figure is Figure.CIRCLE:
+        return (samples,)
     if face.figure is Figure.HEXAGON:
         sides = len(unit_corners(face.figure))
-        return [samples // sides] * sides
+        return (samples // sides,) * sides
     half = samples // 2
     along = round(half * face.length_mm / max(face.length_mm + face.width_mm, _MIN_SIZE_MM))
     along = min(max(along, _SIDE_SAMPLES_MIN), half - _SIDE_SAMPLES_MIN)
-    return [along, half - along, along, half - along]
+    return along, half - along, along, half - along
 
 
 def _face(
