@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -134,3 +136,28 @@ def test_refusal_names_the_reason(face: Face, sigma_mm: float, reason: str) -> N
     grasp, refusal = plan_grasp(face, sigma_mm**2 * np.eye(3), 0.0, GraspParameters())
     assert grasp is None
     assert reason in refusal
+
+
+@pytest.mark.parametrize("grown_mm", [4.0, 8.0, 12.0])
+def test_a_region_with_a_sliver_of_side_face_is_measured_without_it(grown_mm: float) -> None:
+    part = cuboid(500.0, 50.0, 50.0, 0.0, (60.0, 40.0), 200)
+    cameras = rig()
+    left, right, matches = planes([part], cameras, paint([part], cameras), disparity_noise_px=0.1)
+    (surface,) = surfaces_from_matches(left, matches, cameras)
+    outline = surface.outline_mm + np.where(surface.outline_mm[:, :1] > 500.0, (grown_mm, 0.0, 0.0), 0.0)
+    (workpiece,) = recognise([replace(surface, outline_mm=outline)], left, right, cameras, TABLE_Z_MM)
+    assert workpiece.kind == "cuboid"
+    assert workpiece.size_mm == pytest.approx((60.0, 40.0), abs=0.7)
+
+
+def test_a_steep_false_match_on_the_side_of_a_part_belongs_to_it() -> None:
+    part = cuboid(500.0, 50.0, 50.0, 0.0, (60.0, 40.0), 200)
+    cameras = rig()
+    left, right, matches = planes([part], cameras, paint([part], cameras), disparity_noise_px=0.1)
+    (surface,) = surfaces_from_matches(left, matches, cameras)
+    normal = (float(np.sin(0.75)), 0.0, float(np.cos(0.75)))
+    outline = np.array([[526.0, 30.0, 28.0], [546.0, 30.0, 12.0], [546.0, 70.0, 12.0], [526.0, 70.0, 28.0]])
+    outline[:, 2] += TABLE_Z_MM
+    side = replace(surface, id=7, centre_mm=(536.0, 50.0, TABLE_Z_MM + 20.0), normal=normal, outline_mm=outline)
+    (workpiece,) = recognise([surface, side], left, right, cameras, TABLE_Z_MM)
+    assert set(workpiece.surfaces) == {1, 7}
