@@ -17,10 +17,10 @@ def test_rendered_scenes_within_honest_bounds() -> None:
     results = evaluate(ROOT, SCENES)
     figures = summary(results)
     assert figures["objects"] == 15
-    assert figures["found"] >= 14
-    assert figures["kind_right"] >= 13
-    assert figures["spurious"] <= 2
-    assert figures["error_mean_mm"] < 1.0
-    assert figures["error_max_mm"] < 4.0
-    assert figures["height_error_mean_mm"] < 1.5
-    assert figures["yaw_error_max_deg"] < 1.0
+    assert figures["found"] == 15
+    assert figures["kind_right"] >= 14
+    assert figures["spurious"] <= 1
+    assert figures["error_mean_mm"] < 0.5
+    assert figures["error_max_mm"] < 2.5
+    assert figures["height_error_mean_mm"] < 0.6
+    assert figures["yaw_error_max_deg"] < 0.5
