@@ -34,6 +34,7 @@ def take_over(hand: Hand, left: LeftOver) -> None:
         hand.knowledge = GripperKnowledge.UNKNOWN
         hand.held = None if held is None else HeldPart.from_json(held)
         raise AlarmError(Alarm.RESTART_UNRESOLVED, f"When the last process ended, {left.unresolved}")
+    hand.knowledge = GripperKnowledge.EMPTY
 
 
 async def compare_with_sensors(hand: Hand, gripper: Gripper, notices: Notices) -> None:

@@ -72,7 +72,7 @@ class Unit:
         self.simulation = simulation
         self._devices, self._journal = equipment.devices, equipment.journal
         self._state, self._mode = packml.POWER_UP_STATE, Mode.PRODUCTION
-        self._hand = Hand(GripperKnowledge.EMPTY)
+        self._hand = Hand(GripperKnowledge.UNKNOWN)  # until the journal has told what the last process left
         self._notices = Notices(self._journal, self._devices.clock, now, self._fail)
         self._readiness = Readiness(equipment, self._notices)
         self._runner = JobRunner(equipment, self._hand, self._notices, self._readiness.keep_status)

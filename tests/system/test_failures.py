@@ -58,7 +58,7 @@ def test_killed_in_mid_job_it_never_sends_a_move_again(cell: SimulatedCell) -> N
     motions = cell.control.ask("truth")["motions_started"]
     cell.daemon.start()
     with DaemonClient(cell.daemon.socket_path) as client:
-        status = client.read("status")
+        status = next(status for status in client.changes() if status["version"] > 0)
         assert status["state"] == "Aborted"
         assert 5003 in codes(status)
         assert status["gripper"]["knowledge"] == "unknown"
