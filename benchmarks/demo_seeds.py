@@ -61,14 +61,15 @@ def summary(objects: int, results: list[dict[str, Any]]) -> str:
     good = [r for r in results if r["success"] and r["exit_code"] == 0]
     errors = [r["position_error_mm"] for r in results if r.get("position_error_mm", {}).get("mean") is not None]
     placed = [r["placement_error_mm"] for r in good]
+    times_s = [r["job_time_s"] for r in good if r["job_time_s"] is not None]  # none where nothing had to be moved
     least = [r for r in good if r["moves_done"] == r["moves_least"]]
     return (
         f"| {objects} | {len(good)} / {len(results)} "
         f"| {np.mean([e['mean'] for e in errors]):.2f} | {max(e['max'] for e in errors):.2f} "
         f"| {np.mean([e['mean'] for e in placed]):.2f} | {max(e['max'] for e in placed):.2f} "
-        f"| {len(least)} / {len(good)} | {np.median([r['job_time_s'] for r in good]):.0f} "
+        f"| {len(least)} / {len(good)} | {np.median(times_s):.0f} "
         f"| {np.median([r['wall_s'] for r in results]):.0f} |"
-        if good and errors
+        if times_s and errors
         else f"| {objects} | {len(good)} / {len(results)} | no figures |"
     )
 
