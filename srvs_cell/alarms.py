@@ -86,6 +86,8 @@ class Alarm(Enum):
     UNCERTAIN_POSITION = AlarmDefinition(3203, _E, Reaction.HOLD, "A position is less certain than the grasp allows.", "Improve lighting or calibration, or widen the grasp tolerance in the config.")
     VERIFY_FAILED = AlarmDefinition(3204, _E, Reaction.HOLD, "After the relocation the cell does not see every part at its goal.", "Look at the report's pictures; unhold to look again and plan anew.")
 
+    LOOKS_DISAGREE = AlarmDefinition(3205, _E, Reaction.HOLD, "Looks at the same table do not see the same parts.", "Improve lighting or contrast, or separate the parts; unhold to look again.")
+
     PLAN_INFEASIBLE = AlarmDefinition(4001, _E, Reaction.HOLD, "No sequence of moves reaches the goal.", "The detail names the reason for each workpiece: make room, free a buffer place or remove the part.")
     PLAN_NOT_PROVEN = AlarmDefinition(4002, _W, Reaction.NONE, "The plan is valid but not proven to be the shortest.", "None needed; the bound is in the detail.")
     PLAN_INVALID = AlarmDefinition(4003, _C, Reaction.ABORT, "The independent validator refused the plan.", "Report this: planner and validator disagree. Nothing was moved.")

@@ -157,6 +157,7 @@ class Job:
         early: what was made of the left image while the arm travelled.
         looks: finished looks.
         corrections: how often misplaced parts were put right.
+        sightings: what each look saw since the last confirmation.
         offsets_mm: how far each workpiece has been carried since it was perceived.
         finish: end at the next moment at which the gripper is empty.
     """
@@ -185,6 +186,7 @@ class Job:
         self.early: Any = None
         self.looks = 0
         self.corrections = 0
+        self.sightings: list[tuple[Workpiece, ...]] = []
         self.offsets_mm: dict[int, Point2] = {}
         self.finish = False
         self._steps: deque[Step] = deque(steps)

@@ -27,6 +27,7 @@ class StepName(StrEnum):
     MOVE_LATERALLY = "move_laterally"
     OBSERVE_RIGHT = "observe_right"
     PERCEIVE = "perceive"
+    CONFIRM = "confirm"
     PLAN = "plan"
     PICK = "pick"
     PLACE = "place"

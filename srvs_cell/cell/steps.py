@@ -19,16 +19,19 @@ from srvs_cell.planning import footprint_centroid_mm
 from srvs_cell.scene import PlanStatus
 
 if TYPE_CHECKING:
+    from srvs_cell.config import ToleranceParameters
     from srvs_cell.planning import CellPlan
     from srvs_cell.scene import Workpiece
 
+_FURTHER_LOOKS = 3
+"""Looks beyond those that must agree, before an operator is asked."""
 _CORRECTABLE_MM = 30.0
 """Farther from its goal a part was not misplaced by the cell: somebody else has moved it."""
 
 
 def whole_job(*, holding: bool) -> list[Step]:
     """Return the steps of the paper's job; a part that is still held is put where it belongs first."""
-    return [Rise(), *([Deliver()] if holding else []), *look(), Plan()]
+    return [Rise(), *([Deliver()] if holding else []), *start_over(verifying=False)]
 
 
 def look_only() -> list[Step]:
@@ -43,7 +46,31 @@ def retreat() -> list[Step]:
 
 def start_over(*, verifying: bool) -> list[Step]:
     """Return the steps that look anew, and verify what was relocated or plan what is to be relocated."""
-    return [*look(verifying=verifying), Verify() if verifying else Plan()]
+    return [*look(verifying=True), Verify()] if verifying else [*look(), Confirm(), Plan()]
+
+
+@dataclass(frozen=True)
+class Confirm:
+    """Believe what was seen when enough looks in a row saw the same: an unseen part is one that the arm may hit."""
+
+    name: StepName = StepName.CONFIRM
+    verifying: ClassVar[bool] = False
+
+    async def run(self, job: Job) -> Outcome:
+        """Look again until the looks agree; raises LOOKS_DISAGREE where they do not within a few."""
+        wanted, tolerance = job.equipment.parameters.look.agreeing_looks, job.equipment.parameters.tolerance
+        job.sightings.append(job.progress.workpieces)
+        seen = [len(sighting) for sighting in job.sightings]
+        last = job.sightings[-wanted:]
+        if len(last) == wanted and all(_same_parts(one, last[-1], tolerance) for one in last):
+            job.sightings.clear()
+            return Outcome({"parts": seen})
+        if len(job.sightings) >= wanted + _FURTHER_LOOKS:
+            job.sightings.clear()
+            raise AlarmError(
+                Alarm.LOOKS_DISAGREE, f"{', '.join(map(str, seen))} parts were seen in looks at the same table."
+            )
+        return Outcome({"parts": seen}, [*look(), self])
 
 
 @dataclass(frozen=True)
@@ -139,6 +166,18 @@ class Verify:
         for move in plan.moves:
             steps += [Pick(off[move.workpiece], move), Place(move)]
         return [*steps, *start_over(verifying=True)]
+
+
+def _same_parts(one: tuple[Workpiece, ...], other: tuple[Workpiece, ...], tolerance: ToleranceParameters) -> bool:
+    """Return whether two looks saw the same parts: as many, each at its place and of its height."""
+    return len(one) == len(other) and all(
+        any(
+            math.dist(a.position_mm[:2], b.position_mm[:2]) <= tolerance.verify_mm
+            and abs(a.height_mm - b.height_mm) <= tolerance.verify_height_mm
+            for b in other
+        )
+        for a in one
+    )
 
 
 def _find(job: Job) -> dict[int, tuple[float, Workpiece | None]]:

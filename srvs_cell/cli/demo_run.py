@@ -131,8 +131,9 @@ def _conclude(
 ) -> dict[str, Any]:
     """Judge, write the pictures and the page, and return the JSON."""
     run = Path(status["run_directory"]) if status.get("run_directory") else None
-    perception = _read(run, "perception_0.json")
-    plan = _read(run, "plan_0.json")
+    look = _first_planned_look(run)
+    perception = _read(run, f"perception_{look}.json")
+    plan = _read(run, f"plan_{look}.json")
     workpieces = perception.get("workpieces", [])
     moves = [PlanArrow(m["workpiece"], tuple(m["from_mm"]), tuple(m["to_mm"])) for m in plan.get("moves", [])]
     verdict = grade(
@@ -171,6 +172,12 @@ def _conclude(
     (options.out / "demo.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
     _say(result, options.out, progress)
     return result
+
+
+def _first_planned_look(run: Path | None) -> int:
+    """Return the number of the look that the first plan was made from; the first look where no plan was made."""
+    plans = [] if run is None else [int(path.stem.split("_")[1]) for path in run.glob("plan_*.json")]
+    return min(plans, default=0)
 
 
 def _read(run: Path | None, name: str) -> dict[str, Any]:
@@ -219,7 +226,7 @@ def _write_report(
     out = options.out
     cv2.imwrite(str(out / "plan.png"), draw_plan(parts, moves))
     caption = "Left and right image with the matched planes numbered (as the paper's Fig. 6)"
-    planes = _copied(run, "planes_0.png", out, "planes.png", caption)
+    planes = _copied(run, f"planes_{_first_planned_look(run)}.png", out, "planes.png", caption)
     figures = [planes] if planes else []
     seen = [_workpiece(w) for w in result["workpieces"]]
     true_mm = [part.part.position_mm for part in verdict.parts]

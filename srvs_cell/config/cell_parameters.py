@@ -69,6 +69,9 @@ class LookParameters:
         float, Field(ge=0.0, le=10.0, description="wait between standing still and the exposure of a frame")
     ] = 0.2
     frame_timeout_s: Annotated[float, Field(gt=0.0, le=60.0, description="longest wait for a fresh frame")] = 2.0
+    agreeing_looks: Annotated[
+        int, Field(ge=1, le=5, description="looks in a row that must see the same parts before one is moved")
+    ] = 1
     look_again_s: Annotated[
         float, Field(ge=0.1, le=3600.0, description="interval of looking again while nothing is in view")
     ] = 5.0

@@ -454,7 +454,8 @@ async def test_manual_does_one_step_at_a_time(tmp_path: Path) -> None:
             await cell.clock.sleep(5.0)
             assert cell.state == "Held"
             await cell.give(Command.UNHOLD)
-        assert seen_steps[:6] == ["observe_left", "move_laterally", "observe_right", "perceive", "plan", "pick"]
+        looked = ["observe_left", "move_laterally", "observe_right", "perceive"]
+        assert seen_steps[:7] == [*looked, "confirm", "plan", "pick"]
         assert seen_steps[-1] == "verify"
         assert cell.world.dropped == []
 

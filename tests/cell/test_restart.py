@@ -20,12 +20,14 @@ async def die_in(cell: Cell, step: str, kind: str) -> None:
     await connected(cell)
     await cell.start()
     await cell.until("step", step)
-    while True:
-        (last,) = await cell.journal.motions(1)
-        if last["kind"] == kind and last["outcome"] is None:
-            break
+    dying = False
+    while not dying:
+        with cell.clock.working():  # the motion must not end while the journal is read and closed
+            (last,) = await cell.journal.motions(1)
+            dying = last["kind"] == kind and last["outcome"] is None
+            if dying:
+                await cell.journal.close()
         await asyncio.sleep(0)
-    await cell.journal.close()
     for task in asyncio.all_tasks() - {asyncio.current_task()}:
         task.cancel()
     await asyncio.gather(life, return_exceptions=True)
