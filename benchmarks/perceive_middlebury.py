@@ -9,6 +9,7 @@ is tuned to a pair. The truth is stored in eighths of a pixel, so that agreement
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -70,7 +71,8 @@ def milliseconds(images: list[NDArray[np.uint8]], parameters: VisionParameters) 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path)
+    root = os.environ.get("SRVS_DATA") or str(Path(__file__).resolve().parents[2] / "shared" / "data")
+    parser.add_argument("data", type=Path, nargs="?", default=Path(root), help="$SRVS_DATA, or ../shared/data")
     parser.add_argument("--faithful", action="store_true", help="the paper's steps alone")
     options = parser.parse_args()
     cv2.setNumThreads(1)
