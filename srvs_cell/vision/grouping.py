@@ -243,6 +243,8 @@ def _joined(
     offset = max(len(left.planes), len(right.planes)) + 1
     partner = {match.left: match for match in matches}
     joined: list[tuple[int, DisparityPlane, float, float]] = []
+    apart = np.zeros(owner.size, dtype=np.bool_)
+    apart[list(partner)] = True
     outlines = _outlines(left.labels)
     # the far surfaces first, so that the near ones hide them in the right image
     order = sorted(range(len(surfaces)), key=lambda k: _level(left, surfaces[k][0]))
@@ -253,6 +255,8 @@ def _joined(
             if not scores:
                 continue
             chosen = _with_enclosed(left, regions, outlines, parameters.grouping.min_enclosure)
+            # what has a plane of its own that explains it better is a part that stands on the surface, no print
+            chosen[apart & (owner != k)] = False
             window = _window(left, np.flatnonzero(chosen))
             filled = chosen[left.labels[window]]
             labels_left[window][filled] = offset

@@ -43,9 +43,11 @@ class EdgeParameters:
     noise_factor: Annotated[
         float, Field(ge=0.0, le=20.0, description="a strong pixel exceeds the image's median gradient this many times")
     ] = 3.5
+    # along an arc the two partitions share the votes evenly, and a region has half of them give or take a few pixels:
+    # a limit of just one half would drop arcs by chance
     min_support: Annotated[
         float, Field(ge=0.0, le=1.0, description="least share of a region's pixels that vote for it")
-    ] = 0.5
+    ] = 0.45
     min_length_px: Annotated[float, Field(ge=1.0, le=200.0, description="least length of a line-support region")] = 6.0
 
 

@@ -63,3 +63,14 @@ def test_a_short_weak_region_is_no_edge_and_a_short_strong_one_is() -> None:
 
 def test_a_picture_as_small_as_it_gets_is_no_trouble() -> None:
     assert extract_edges(np.zeros((1, 1), dtype=np.uint8), EdgeParameters()).mask.shape == (1, 1)
+
+
+def test_no_arc_of_a_circle_is_dropped_whatever_its_radius_and_place() -> None:
+    y, x = np.indices((110, 110)).astype(np.float64)
+    for number in range(24):
+        radius_px, middle_px = 30.0 + 0.4 * number, 55.0 + 0.13 * number
+        distance = np.hypot(x - middle_px, y - middle_px) - radius_px
+        image = np.asarray(np.rint(100.0 - 40.0 * np.clip(0.5 - distance / 2.0, 0.0, 1.0)), dtype=np.uint8)
+        rows, columns = np.nonzero(extract_edges(image, EdgeParameters()).mask)
+        turn_deg = np.rad2deg(np.arctan2(rows + 0.5 - middle_px, columns + 0.5 - middle_px)) % 360.0
+        assert np.unique(np.floor(turn_deg / 5.0)).size == 72, radius_px
