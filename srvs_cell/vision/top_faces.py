@@ -14,6 +14,7 @@ import numpy as np
 
 from srvs_cell.vision.face_fit import MEASURE, SCOUT, SETTLE, EdgeField, FaceFit, fit_faces
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
+from srvs_cell.vision.interpolation import disparity_at
 from srvs_cell.vision.recovery import NO_PLANE
 
 if TYPE_CHECKING:
@@ -45,6 +46,8 @@ _RETRIED_INCLINED = 6
 """So many inclined figures of a surface are settled when it is tried again."""
 _DOUBLING_DEG = 10.0
 """Contradiction of measured and fitted attitude that doubles the doubt in a fit."""
+_MOST_MOVED_PX = 1.5
+"""A doubtful figure whose disparity differs more from its surface's measured one is of other edges than the face's."""
 _ALONG_SLOPE = float(np.cos(np.pi / 4.0))
 _START_SLOPE = 0.36
 """20 degrees: from here the edges of inclinations from 5 to 35 degrees are within reach."""
@@ -80,7 +83,11 @@ def fit_tops(
         if chosen is not None:
             best[number] = chosen
     measured = _fitted(list(best.values()), fields, rig, MEASURE, limits)
-    fits = {start.number: fit for start, fit in measured if _is_top(fit, table_z_mm, limits)}
+    fits = {
+        start.number: fit
+        for start, fit in measured
+        if _is_top(fit, table_z_mm, limits) and _keeps_place(fit, surfaces[start.number], rig)
+    }
     return [fits.get(number) for number in range(len(surfaces))]
 
 
@@ -314,6 +321,19 @@ def _is_top(fit: FaceFit, table_z_mm: float, limits: RecognitionParameters) -> b
         and max(face.length_mm, face.width_mm) <= limits.max_size_mm
         and limits.min_height_mm <= height_above_mm(face, table_z_mm) <= limits.max_height_mm
     )
+
+
+def _keeps_place(fit: FaceFit, surface: Surface, rig: RectifiedRig) -> bool:
+    """Whether a doubtful figure has about the disparity that its surface was measured to have.
+
+    Where a narrow side face shows in one image alone, the edges of different borders are taken for each other's, and
+    the figure that fits them stands at another height than the face.
+    """
+    if fit.rms_px <= SURE_RMS_PX or not _has_slope(surface):
+        return True
+    x, y, disparity = rig.project_px(np.array([fit.face.x_mm, fit.face.y_mm, fit.face.z_mm]))
+    moved_px = float(disparity - disparity_at(surface.match.disparity_plane, x, y))
+    return abs(moved_px) <= _MOST_MOVED_PX
 
 
 def height_above_mm(face: Face, table_z_mm: float) -> float:
