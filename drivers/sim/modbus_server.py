@@ -128,7 +128,7 @@ class ModbusServer:
                 return
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             with self._lock:
-                taken = self._connection is not None or self._listener is None
+                taken = self._listener is None or (self._connection is not None and not _ended(self._connection))
                 if not taken:
                     self._connection = connection
             if taken:
@@ -208,6 +208,16 @@ class ModbusServer:
         bits = device.read_coils(address, count) if function == _READ_COILS else device.read_inputs(address, count)
         packed = sum(bit << i for i, bit in enumerate(bits)).to_bytes((count + 7) // 8, "little")
         return bytes([len(packed)]) + packed
+
+
+def _ended(connection: socket.socket) -> bool:
+    """Return whether the client has closed a connection, though its thread may not have noticed yet."""
+    try:
+        return connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
 
 
 def _receive(connection: socket.socket, count: int) -> bytes:

@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 @pytest.fixture
 def cell(tmp_path: Path) -> Iterator[SimulatedCell]:
-    with simulated_cell(SimulationOptions(objects=3, seed=2), tmp_path) as running:
+    with simulated_cell(SimulationOptions(objects=3, seed=1, imperfections="none"), tmp_path) as running:
         yield running
 
 
