@@ -92,6 +92,7 @@ class SimArm:
         self._stopped_short = False
         self._error = self._error_before = self._error_at_target = repeatability.draw(random)
         self._strained_steps = 0
+        self._least_force_n = 0.0
         self._outputs: dict[int, bool] = {}
         world.lead(self._true_pose())
 
@@ -198,6 +199,7 @@ class SimArm:
 
     def _begin(self, motion: Motion) -> None:
         self._motion, self._stopped_short, self._strained_steps = motion, False, 0
+        self._least_force_n = self._world.force_on_hand_n()
         self._error_before, self._error_at_target = self._error, self._repeatability.draw(self._random)
 
     def _follow(self, motion: Motion) -> None:
@@ -218,7 +220,15 @@ class SimArm:
             self._end(motion)
 
     def _collided(self) -> bool:
-        strained = self._world.force_on_hand_n() > _COLLISION_N
+        """Feel for a disturbance as a controller's collision guard does.
+
+        What already pressed on the hand when the motion began is no disturbance: after a reset the arm may move away
+        from what it has hit (SRVO-050: reset, then move off). It counts from the least force since then, so that
+        pressing harder, and any new contact, stop the arm.
+        """
+        force_n = self._world.force_on_hand_n()
+        self._least_force_n = min(self._least_force_n, force_n)
+        strained = force_n > self._least_force_n + _COLLISION_N
         self._strained_steps = self._strained_steps + 1 if strained else 0
         return self._strained_steps >= _COLLISION_STEPS
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -104,6 +105,59 @@ def test_fingers_that_land_on_a_part_make_the_controller_stop_in_a_fault(tmp_pat
     go(simulation, above(pose))
     assert truth(simulation)["arm"]["fault"] is None
     assert arm.pose.z_mm == pytest.approx(above(pose).z_mm)
+
+
+@pytest.mark.parametrize("into", ["table", "part"])
+def test_after_the_reset_the_arm_may_rise_from_what_it_was_driven_into_but_not_press_deeper(
+    tmp_path: Path, into: str
+) -> None:
+    simulation = make_simulation(tmp_path)
+    arm = simulation.arm
+    grip(simulation, close=True)
+    pose = grasp_pose(simulation, 0)
+    if into == "table":
+        pose = replace(pose, y_mm=pose.y_mm + 150.0, z_mm=simulation.world.table_z_mm - 20.0)
+    go(simulation, above(pose))
+    go(simulation, pose, 500.0)
+    assert "SRVO-050" in str(arm.fault)
+    pass_time(simulation, 0.3)
+    assert simulation.world.force_on_hand_n() > 100.0, "the arm has not stopped clear of it"
+
+    arm.reset_fault()
+    stuck_z_mm = arm.pose.z_mm
+    go(simulation, pose, 50.0)
+    assert "SRVO-050" in str(arm.fault)
+    assert arm.pose.z_mm == pytest.approx(stuck_z_mm, abs=1.0)
+
+    arm.reset_fault()
+    go(simulation, above(pose), 80.0)
+    assert arm.fault is None
+    assert arm.pose.z_mm == pytest.approx(above(pose).z_mm)
+
+
+@pytest.mark.parametrize(
+    ("forces_n", "stops"),
+    [
+        ([0.0, 90.0], False),
+        ([0.0, 110.0], True),
+        ([300.0, 310.0, 200.0, 100.0, 0.0], False),
+        ([300.0, 410.0], True),
+        ([300.0, 200.0, 310.0], True),
+        ([300.0, 0.0, 110.0], True),
+    ],
+)
+def test_the_collision_guard_counts_from_the_least_force_since_the_motion_began(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, forces_n: list[float], stops: bool
+) -> None:
+    simulation = make_simulation(tmp_path)
+    arm = simulation.arm
+    force_n = forces_n[0]
+    monkeypatch.setattr(simulation.world, "force_on_hand_n", lambda: force_n)
+    arm.start_linear(offset(arm.pose, 0.0, 50.0), 80.0)
+    for force_n in forces_n:  # noqa: B007 - what the lambda above returns
+        pass_time(simulation, 0.02)
+    assert (arm.fault is not None) == stops
+    assert arm.moving == (not stops)
 
 
 def test_nothing_moves_by_itself(tmp_path: Path) -> None:
