@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path  # noqa: TC003 - typer reads the annotation at run time
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,8 +15,16 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Transform
     from srvs_cell.scene import Perception
     from srvs_cell.vision import StereoView, VisionParameters
+    from srvs_cell.vision.lines import LinePerception
 
 _POSE_NUMBERS = 6
+
+
+class Method(StrEnum):
+    """What is matched: the paper's planes, or the straight lines that it compares them with."""
+
+    PLANES = "planes"
+    LINES = "lines"
 
 
 def register(app: typer.Typer) -> None:
@@ -49,22 +58,34 @@ def perceive_command(
         Path | None, typer.Option(metavar="OUT.pfm", help="Write the disparity map of the left image.")
     ] = None,
     overlay: Annotated[
-        Path | None, typer.Option(metavar="OUT.png", help="Write both images with numbered matched planes.")
+        Path | None, typer.Option(metavar="OUT.png", help="Write both images with numbered matched planes (lines).")
     ] = None,
+    method: Annotated[
+        Method, typer.Option(help="What is matched; lines are the paper's baseline and make no workpieces.")
+    ] = Method.PLANES,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Extract and match planes; with calibration and poses also recognise workpieces and place them."""
     import json  # noqa: PLC0415 - the command line starts lazily
     import time  # noqa: PLC0415 - as above
 
-    from srvs_cell.vision import perceive, perception_to_json  # noqa: PLC0415 - as above
-
     parameters, table_z_mm = _parameters(config, min_disparity, max_disparity)
     poses = [_pose(text, option) for text, option in ((left_pose, "--left-pose"), (right_pose, "--right-pose"))]
     view = _view(calibration, poses, table_z if table_z is not None else table_z_mm, parameters)
-    perception = perceive(
-        _read_image(left_file), _read_image(right_file), parameters, view=view, stopwatch=time.perf_counter
-    )
+    images = _read_image(left_file), _read_image(right_file)
+    if method is Method.LINES:
+        from srvs_cell.vision.lines import lines_to_json, perceive_lines  # noqa: PLC0415 - as above
+
+        lines = perceive_lines(*images, parameters, view=view, stopwatch=time.perf_counter)
+        _write_lines(lines, disparity, overlay)
+        if as_json:
+            typer.echo(json.dumps(lines_to_json(lines)))
+        else:
+            _show_lines(lines)
+        return
+    from srvs_cell.vision import perceive, perception_to_json  # noqa: PLC0415 - as above
+
+    perception = perceive(*images, parameters, view=view, stopwatch=time.perf_counter)
     if disparity is not None:
         from srvs_cell.vision import encode_pfm  # noqa: PLC0415 - as above
 
@@ -184,6 +205,38 @@ def _write_overlay(path: Path, perception: Perception) -> None:
 
     _, data = cv2.imencode(".png", draw_matches(perception))
     _write(path, data.tobytes())
+
+
+def _write_lines(perception: LinePerception, disparity: Path | None, overlay: Path | None) -> None:
+    """Write the files of the line matching that were asked for."""
+    if disparity is not None:
+        from srvs_cell.vision import encode_pfm  # noqa: PLC0415 - the command line starts lazily
+        from srvs_cell.vision.lines import line_disparity_map  # noqa: PLC0415 - as above
+
+        _write(disparity, encode_pfm(line_disparity_map(perception)))
+    if overlay is not None:
+        import cv2  # noqa: PLC0415 - as above
+
+        from srvs_cell.vision.line_overlay import draw_line_matches  # noqa: PLC0415 - as above
+
+        _, data = cv2.imencode(".png", draw_line_matches(perception))
+        _write(overlay, data.tobytes())
+
+
+def _show_lines(perception: LinePerception) -> None:
+    """Print a table of matched lines for people."""
+    matches = perception.matches
+    typer.echo(f"{len(perception.left)} lines left, {len(perception.right)} right, {len(matches)} matched")
+    typer.echo(f"{'left':>5} {'right':>5} {'score':>6} {'x px':>7} {'y px':>7} {'length px':>10} {'disparity px':>13}")
+    for left, right, score, ends_px in zip(
+        matches.left, matches.right, matches.score, matches.disparity_ends_px, strict=True
+    ):
+        x, y = perception.left.centre_px[left]
+        typer.echo(
+            f"{left + 1:5d} {right + 1:5d} {score:6.3f} {x:7.1f} {y:7.1f} {perception.left.length_px[left]:10.1f} "
+            f"{ends_px.mean():13.2f}"
+        )
+    typer.echo(f"{sum(perception.timings_ms.values()):.0f} ms")
 
 
 def _show(perception: Perception) -> None:

@@ -1,0 +1,245 @@
+"""Straight lines with eight parameters, from Burns' line-support regions: the features of the paper's baseline.
+
+The paper compares its plane matching with the straight line matching of McIntosh and Mutch (CVGIP 43, 1988), which
+works on the lines of Burns, Hanson and Riseman (PAMI 8(4), 1986). The text of McIntosh and Mutch was not at hand; the
+paper says only that a line has eight parameters. This is therefore a **reconstruction**, and the eight are our choice
+among the attributes that Burns gives a line: x and y of the midpoint, orientation, length, contrast, width, steepness
+and mean grey value.
+
+The edge pixels are those of step 2, the same as the planes are grown between. Each belongs to one region of either
+partition of gradient directions and votes for the longer one. A region's line is where the plane that is fitted to its
+grey values, weighted by the gradient, cuts the level of their weighted mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as checked_dataclass
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from srvs_cell.vision.edges import smooth
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srvs_cell.geometry import Array
+
+_PARTITION_DEG = 45.0
+_PARTITIONS = 8
+_TURNS_DEG = (0.0, _PARTITION_DEG / 2.0)
+_FORWARD_NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
+_CENTRE_OFFSET_PX = 0.5
+"""A 2x2 mask measures between the pixels."""
+_FLAT = 1e-6
+"""Spread, px^2, or slope, grey values per pixel, below which a region has no fitted plane."""
+
+
+@checked_dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
+class LineParameters:
+    """What makes a line-support region a line."""
+
+    min_support: Annotated[
+        float, Field(ge=0.0, le=1.0, description="least share of a region's pixels that vote for it")
+    ] = 0.5
+    min_length_px: Annotated[float, Field(ge=2.0, le=500.0, description="a shorter line is not used")] = 8.0
+    min_pixels: Annotated[int, Field(ge=3, le=10_000, description="a region of fewer pixels is not used")] = 8
+
+
+@dataclass(frozen=True, eq=False)
+class LineImage:
+    """The straight lines of one rectified image; line i has row i of every array.
+
+    A line runs so that the bright side lies on its right hand as seen in the picture (y down).
+
+    Attributes:
+        grey: the rectified image, uint8, shape (H, W).
+        centre_px: midpoint (x, y), shape (N, 2); two of the eight parameters.
+        orientation_deg: direction of the grey values' ascent, 0 to 360, from x towards y, shape (N,).
+        length_px: between the ends, shape (N,).
+        contrast: grey values across the line, shape (N,).
+        width_px: of the support region, its area over its length, shape (N,).
+        steepness: slope of the fitted plane, grey values per pixel, shape (N,).
+        brightness: mean grey value of the support region, shape (N,).
+        start_px, end_px: ends (x, y), shape (N, 2).
+    """
+
+    grey: NDArray[np.uint8]
+    centre_px: Array
+    orientation_deg: Array
+    length_px: Array
+    contrast: Array
+    width_px: Array
+    steepness: Array
+    brightness: Array
+    start_px: Array
+    end_px: Array
+
+    def __len__(self) -> int:
+        """Return the number of lines."""
+        return len(self.length_px)
+
+
+def extract_lines(
+    grey: NDArray[np.uint8], edges: NDArray[np.bool_], smoothing_px: float, parameters: LineParameters
+) -> LineImage:
+    """Find the straight lines of an image and their eight parameters.
+
+    Args:
+        grey: the rectified image, uint8, shape (H, W).
+        edges: bool, shape (H, W): the pixels of the line-support regions (`EdgeImage.mask`).
+        smoothing_px: sigma of the Gaussian before the gradient, as the edges were found with.
+        parameters: limits of a line.
+    """
+    # the last row and column have no 2x2 mask
+    rows, columns = np.nonzero(edges[:-1, :-1])
+    image = smooth(grey, smoothing_px)
+    a, b = image[rows, columns], image[rows, columns + 1]
+    c, d = image[rows + 1, columns], image[rows + 1, columns + 1]
+    gradient_x, gradient_y = (b + d - a - c) * _CENTRE_OFFSET_PX, (c + d - a - b) * _CENTRE_OFFSET_PX
+    direction_deg = np.rad2deg(np.arctan2(gradient_y, gradient_x)) % 360.0
+    region = support_regions(rows, columns, direction_deg, edges.shape, parameters.min_support)
+    kept = np.flatnonzero(region >= 0)
+    kept = kept[np.argsort(region[kept], kind="stable")]
+    _, first, pixels = np.unique(region[kept], return_index=True, return_counts=True)
+    large = pixels >= parameters.min_pixels
+    kept = kept[np.repeat(large, pixels)]
+    pixels = pixels[large]
+    first = np.cumsum(pixels) - pixels
+    level = (a + b + c + d)[kept].astype(np.float64) / 4.0
+    return _measure(
+        grey,
+        np.column_stack([columns[kept], rows[kept]]).astype(np.float64) + _CENTRE_OFFSET_PX,
+        level,
+        np.hypot(gradient_x, gradient_y)[kept].astype(np.float64),
+        (first, pixels),
+        parameters,
+    )
+
+
+def support_regions(
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    direction_deg: NDArray[np.float32],
+    shape: tuple[int, ...],
+    min_support: float,
+) -> NDArray[np.int32]:
+    """Return the number of the line-support region that each edge pixel votes for; -1 where that has no support.
+
+    Args:
+        rows: of the edge pixels, shape (N,).
+        columns: of the edge pixels, shape (N,).
+        direction_deg: gradient direction of each, 0 to 360.
+        shape: of the image.
+        min_support: least share of a region's pixels that vote for it.
+    """
+    if rows.size == 0:
+        return np.zeros(0, dtype=np.int32)
+    first, second = _neighbour_pairs(rows, columns, shape)
+    labels, lengths = [], []
+    for turn_deg in _TURNS_DEG:
+        partition = ((direction_deg + turn_deg) // _PARTITION_DEG).astype(np.int32) % _PARTITIONS
+        same = partition[first] == partition[second]
+        links = (np.ones(int(same.sum()), dtype=np.int8), (first[same], second[same]))
+        graph = coo_array(links, shape=(rows.size, rows.size)).tocsr()
+        label = np.asarray(connected_components(graph, directed=False)[1], dtype=np.int32)
+        labels.append(label)
+        lengths.append(_diagonals(label, rows, columns)[label])
+    votes_first = lengths[0] >= lengths[1]
+    labels[1] = labels[1] + labels[0].max() + 1
+    region = np.where(votes_first, labels[0], labels[1])
+    votes = np.bincount(region, minlength=int(labels[1].max()) + 1)
+    pixels = np.bincount(labels[0], minlength=votes.size) + np.bincount(labels[1], minlength=votes.size)
+    return np.where((votes >= min_support * pixels)[region], region, -1).astype(np.int32)
+
+
+def _neighbour_pairs(
+    rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return the numbers of edge pixels that are 8-neighbours of each other."""
+    # a frame of one pixel makes every neighbour's index valid
+    index = np.full((shape[0] + 2, shape[1] + 2), -1, dtype=np.int32)
+    index[rows + 1, columns + 1] = np.arange(rows.size, dtype=np.int32)
+    first, second = [], []
+    for d_row, d_column in _FORWARD_NEIGHBOURS:
+        neighbour = index[rows + 1 + d_row, columns + 1 + d_column]
+        present = np.flatnonzero(neighbour >= 0)
+        first.append(present.astype(np.int32))
+        second.append(neighbour[present])
+    return np.concatenate(first), np.concatenate(second)
+
+
+def _diagonals(label: NDArray[np.int32], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
+    """Return the diagonal of each region's bounding box, pixels."""
+    count = int(label.max()) + 1
+    extents = []
+    for position in (rows, columns):
+        low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
+        np.minimum.at(low, label, position)
+        np.maximum.at(high, label, position)
+        extents.append(high - low + 1.0)
+    return np.asarray(np.hypot(extents[0], extents[1]), dtype=np.float64)
+
+
+def _measure(
+    grey: NDArray[np.uint8],
+    position: Array,
+    level: Array,
+    weight: Array,
+    regions: tuple[NDArray[np.intp], NDArray[np.intp]],
+    parameters: LineParameters,
+) -> LineImage:
+    """Fit a plane to the grey values of each region and return the lines.
+
+    Args:
+        grey: the image.
+        position: (x, y) of the pixels, ordered by region, shape (N, 2).
+        level: their grey values.
+        weight: their gradients.
+        regions: number of the first pixel, and number of pixels, of each region.
+        parameters: limits of a line.
+    """
+    first, pixels = regions
+    if first.size == 0:
+        none, nowhere = np.zeros(0), np.zeros((0, 2))
+        return LineImage(grey, nowhere, none, none, none, none, none, none, nowhere, nowhere)
+
+    def total(values: Array) -> Array:
+        return np.asarray(np.add.reduceat(values, first), dtype=np.float64)
+
+    weights = total(weight)
+    middle = np.column_stack([total(weight * position[:, 0]), total(weight * position[:, 1])]) / weights[:, None]
+    middle_level = total(weight * level) / weights
+    x, y = (position - np.repeat(middle, pixels, axis=0)).T
+    rise = level - np.repeat(middle_level, pixels)
+    xx, xy, yy = total(weight * x * x), total(weight * x * y), total(weight * y * y)
+    x_rise, y_rise = total(weight * x * rise), total(weight * y * rise)
+    determinant = xx * yy - xy * xy
+    solvable = determinant > _FLAT * weights * weights
+    safe = np.where(solvable, determinant, 1.0)
+    slope = np.column_stack([x_rise * yy - y_rise * xy, y_rise * xx - x_rise * xy]) / safe[:, None]
+    steepness = np.hypot(slope[:, 0], slope[:, 1])
+    solvable &= steepness > _FLAT
+    normal = slope / np.where(solvable, steepness, 1.0)[:, None]
+    along = np.column_stack([-normal[:, 1], normal[:, 0]])
+    run = x * np.repeat(along[:, 0], pixels) + y * np.repeat(along[:, 1], pixels)
+    low, high = np.minimum.reduceat(run, first), np.maximum.reduceat(run, first)
+    length = high - low
+    good = solvable & (length >= parameters.min_length_px)
+    start, end = middle + low[:, None] * along, middle + high[:, None] * along
+    return LineImage(
+        grey=grey,
+        centre_px=(0.5 * (start + end))[good],
+        orientation_deg=np.rad2deg(np.arctan2(normal[good, 1], normal[good, 0])) % 360.0,
+        length_px=length[good],
+        contrast=(np.maximum.reduceat(level, first) - np.minimum.reduceat(level, first))[good],
+        width_px=pixels[good] / length[good],
+        steepness=steepness[good],
+        brightness=(total(level) / pixels)[good],
+        start_px=start[good],
+        end_px=end[good],
+    )
