@@ -36,7 +36,7 @@ _FORWARD_NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
 _CENTRE_OFFSET_PX = 0.5
 """A 2x2 mask measures between the pixels."""
 _FLAT = 1e-6
-"""Spread, px^2, or slope, grey values per pixel, below which a region has no fitted plane."""
+"""Spread, px^2, or slope, grey values per pixel, below which a region has no fitted plane; least weight."""
 
 
 @checked_dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
@@ -54,7 +54,7 @@ class LineParameters:
 class LineImage:
     """The straight lines of one rectified image; line i has row i of every array.
 
-    A line runs so that the bright side lies on its right hand as seen in the picture (y down).
+    A line runs from its start to its end with the bright side on its left hand, as the picture is seen (y down).
 
     Attributes:
         grey: the rectified image, uint8, shape (H, W).
@@ -115,7 +115,7 @@ def extract_lines(
         grey,
         np.column_stack([columns[kept], rows[kept]]).astype(np.float64) + _CENTRE_OFFSET_PX,
         level,
-        np.hypot(gradient_x, gradient_y)[kept].astype(np.float64),
+        np.maximum(np.hypot(gradient_x, gradient_y)[kept], _FLAT).astype(np.float64),
         (first, pixels),
         parameters,
     )
