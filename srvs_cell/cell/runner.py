@@ -56,6 +56,11 @@ class JobRunner:
         """Whether a job is being done."""
         return self._task is not None and not self._task.done()
 
+    @property
+    def moving(self) -> bool:
+        """Whether a motion of the job is between its intent and its outcome."""
+        return self.running and self.job is not None and self.job.manipulator.busy
+
     async def run(self, mode: Mode) -> JobEnd:
         """Do a new job, or the next step of the paused one, and journal how it ended."""
         job = self.job

@@ -202,7 +202,9 @@ class Unit:
             try:
                 await self._readiness.watch(self._state)
             except AlarmError as error:
-                self._fail(error)
+                # A motion under way ends with the fault itself and knows its name: a collision is not any fault.
+                if error.alarm is not Alarm.ROBOT_FAULT or not self._runner.moving:
+                    self._fail(error)
 
     async def _do_state(self) -> None:
         """Do the work of the present state until it is done or the state is left."""

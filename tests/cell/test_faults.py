@@ -12,7 +12,7 @@ import pytest
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell import Command, Mode, State, Unit
 from srvs_cell.ports import CommandRejectedError, DeviceFaultError, NotConnectedError, OutcomeUnknownError, RobotMode
-from tests.cell.support import Cell, build, connected, in_step, running, seen
+from tests.cell.support import PARAMETERS, Cell, build, connected, in_step, running, seen
 
 if TYPE_CHECKING:
     from asyncio import Future
@@ -126,6 +126,18 @@ async def test_a_robot_that_fails_in_a_move(
         assert len(cell.arm.targets) == move
         await cell.clock.sleep(10.0)
         assert len(cell.arm.targets) == move
+
+
+async def test_a_collision_keeps_its_name_although_the_status_says_fault_before_the_move_ends(tmp_path: Path) -> None:
+    cell = build(tmp_path, parameters=replace(PARAMETERS, status_interval_s=0.01))
+    cell.arm.trouble[2] = DeviceFaultError(Alarm.COLLISION, "SRVO-050 collision")
+    async with running(cell):
+        await connected(cell)
+        await cell.start()
+        await in_step(cell, "move_laterally")
+        cell.arm.present = replace(cell.arm.present, fault="SRVO-050 collision")
+        assert await cell.reaches(*ENDS) == "Aborted"
+        assert "COLLISION" in cell.alarms
 
 
 async def test_after_a_fault_only_clear_reset_and_start_move_again(tmp_path: Path) -> None:
