@@ -38,6 +38,7 @@ _LEAST = 1e-6
 """Keeps the ratio of two values that are both zero defined: it is 1."""
 _WEIGHT = Field(ge=0.0, le=1.0, description="weight of this parameter's similarity")
 _TURN_DEG = 360.0
+_BAND_LINES = 128
 
 
 @checked_dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
@@ -102,16 +103,10 @@ def match_lines(
         parameters: gates, weights and threshold.
     """
     of_left, of_right = candidates(left, right, disparity_range_px, parameters)
-    if of_left.size:
-        score = match_function(left, right, of_left, of_right, parameters)
-        table = np.full((len(left), len(right)), -1.0)
-        table[of_left, of_right] = score
-        # of equals the first is the best
-        mutual = (table.argmax(axis=1)[of_left] == of_right) & (table.argmax(axis=0)[of_right] == of_left)
-        chosen = mutual & (score > parameters.match_threshold)
-        of_left, of_right, score = of_left[chosen], of_right[chosen], score[chosen]
-    else:
-        score = np.zeros(0)
+    score = match_function(left, right, of_left, of_right, parameters)
+    chosen = np.flatnonzero(score > parameters.match_threshold)
+    chosen = chosen[_mutual_best(of_left[chosen], of_right[chosen], score[chosen])]
+    of_left, of_right, score = of_left[chosen], of_right[chosen], score[chosen]
     flat = near_horizontal(left, of_left, parameters) | near_horizontal(right, of_right, parameters)
     ends = np.column_stack(
         [
@@ -130,19 +125,27 @@ def candidates(
     left: LineImage, right: LineImage, disparity_range_px: tuple[float, float], parameters: LineMatchingParameters
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the pairs of lines that the epipolar constraint and the orientation allow, as two arrays of numbers."""
-    if not len(left) or not len(right):
-        nothing = np.zeros(0, dtype=np.intp)
-        return nothing, nothing
     low_left, high_left = _rows(left)
     low_right, high_right = _rows(right)
-    shared = np.minimum(high_left[:, None], high_right) - np.maximum(low_left[:, None], low_right)
-    shorter = np.minimum((high_left - low_left)[:, None], high_right - low_right)
-    turn = np.abs(left.orientation_deg[:, None] - right.orientation_deg)
-    turn = np.minimum(turn, _TURN_DEG - turn)
-    of_left, of_right = np.nonzero(
-        (shared >= parameters.min_row_overlap * shorter - parameters.max_row_distance_px)
-        & (turn < parameters.max_orientation_difference_deg)
-    )
+    found_left, found_right = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+    # bands of lines that lie at about the same height: each is held only against what shares its rows
+    downwards = np.argsort(low_left, kind="stable")
+    for first in range(0, len(left), _BAND_LINES):
+        band = downwards[first : first + _BAND_LINES]
+        near = np.flatnonzero(
+            (high_right >= low_left[band].min() - parameters.max_row_distance_px)
+            & (low_right <= high_left[band].max() + parameters.max_row_distance_px)
+        )
+        shared = np.minimum(high_left[band, None], high_right[near]) - np.maximum(low_left[band, None], low_right[near])
+        shorter = np.minimum((high_left - low_left)[band, None], (high_right - low_right)[near])
+        turn = np.abs(left.orientation_deg[band, None] - right.orientation_deg[near])
+        rows, columns = np.nonzero(
+            (shared >= parameters.min_row_overlap * shorter - parameters.max_row_distance_px)
+            & (np.minimum(turn, _TURN_DEG - turn) < parameters.max_orientation_difference_deg)
+        )
+        found_left.append(band[rows])
+        found_right.append(near[columns])
+    of_left, of_right = np.concatenate(found_left), np.concatenate(found_right)
     row = 0.5 * (
         np.minimum(high_left[of_left], high_right[of_right]) + np.maximum(low_left[of_left], low_right[of_right])
     )
@@ -151,7 +154,9 @@ def candidates(
     low, high = disparity_range_px
     margin = parameters.max_column_margin_px
     possible = (by_rows > low - margin) & (by_rows < high + margin)
-    return of_left[possible], of_right[possible]
+    of_left, of_right = of_left[possible], of_right[possible]
+    order = np.lexsort((of_right, of_left))
+    return of_left[order], of_right[order]
 
 
 def match_function(
@@ -178,6 +183,18 @@ def match_function(
         total = total + weight * np.minimum(values_left, values_right) / np.maximum(values_left, values_right)
         weights += weight
     return np.asarray(total / max(weights, _LEAST), dtype=np.float64)
+
+
+def _mutual_best(of_left: NDArray[np.intp], of_right: NDArray[np.intp], score: Array) -> NDArray[np.intp]:
+    """Return which pairs are the best of both their lines; of equals the first."""
+    if not score.size:
+        return np.zeros(0, dtype=np.intp)
+    best_left, best_right = np.zeros(int(of_left.max()) + 1), np.zeros(int(of_right.max()) + 1)
+    np.maximum.at(best_left, of_left, score)
+    np.maximum.at(best_right, of_right, score)
+    best = np.flatnonzero((score == best_left[of_left]) & (score == best_right[of_right]))
+    best = best[np.unique(of_left[best], return_index=True)[1]]
+    return np.sort(best[np.unique(of_right[best], return_index=True)[1]])
 
 
 def near_horizontal(
