@@ -57,7 +57,7 @@ PHOTOGRAPHS_PX, BLOCKS_PX = 32.0, 96.0
 """Greatest disparity where no calibration tells it."""
 RIGHT_PX = 1.0
 REACH_PX = 3
-ANGLES_DEG = (0.0, 5.0, 15.0, 30.0, 60.0, 90.001)
+ANGLES_DEG = (0.0, 5.0, 10.0, 20.0, 45.0, 90.001)
 CORNER_SHIFTS_PX = (0.0, 6.0, 24.0)
 ROW_SHIFTS_PX = (1, 2, 3)
 PAPER_RATIO = 171.0 / 42.0

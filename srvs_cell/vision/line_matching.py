@@ -59,7 +59,7 @@ class LineMatchingParameters:
     ] = 20.0
     near_horizontal_deg: Annotated[
         float, Field(ge=0.1, le=45.0, description="a line that is less inclined to the rows does not cross them")
-    ] = 15.0
+    ] = 10.0
     weight_orientation: Annotated[float, _WEIGHT] = 1.0
     weight_length: Annotated[float, _WEIGHT] = 1.0
     weight_contrast: Annotated[float, _WEIGHT] = 1.0
