@@ -11,6 +11,7 @@ import typer
 
 from srvs_cell import __version__
 from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.cli.quick import QuickGroup
 
 _OPERATE = "srvs_cell.cli.operate"
 MODULES = {
@@ -71,7 +72,7 @@ def run(arguments: list[str]) -> int:
 
 def application(arguments: list[str]) -> typer.Typer:
     """Return the app with the command that ``arguments`` begin with, or with all where they begin with none."""
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
+    app = typer.Typer(cls=QuickGroup, add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
 
     @app.callback()
     def _root(

@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
 from srvs_cell.cli.client import DEFAULT_SOCKET, DaemonClient
+from srvs_cell.cli.quick import QuickCommand
 
 COMMANDS = {
     "reset": "Make the stopped or finished cell ready: Idle.",
@@ -33,13 +35,14 @@ Limit = Annotated[int, typer.Option("--limit", min=1, max=10_000, help="How many
 
 def register(app: typer.Typer) -> None:
     """Add status, the PackML commands, mode, resolve, alarms and history."""
-    app.command("status")(show_status)
+    command = partial(app.command, cls=QuickCommand)
+    command("status")(show_status)
     for name, purpose in COMMANDS.items():
-        app.command(name, help=purpose)(_sender(name))
-    app.command("mode")(set_mode)
-    app.command("resolve")(resolve)
-    app.command("alarms")(show_alarms)
-    app.command("history")(show_history)
+        command(name, help=purpose)(_sender(name))
+    command("mode")(set_mode)
+    command("resolve")(resolve)
+    command("alarms")(show_alarms)
+    command("history")(show_history)
 
 
 def show_status(

@@ -4,15 +4,18 @@ import subprocess
 import sys
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import pytest
 import typer
+from typer.core import TyperCommand
 
 from srvs_cell import __version__
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell import Command
 from srvs_cell.cli import main, operate
+from srvs_cell.cli.quick import QuickCommand
 
 
 def run_with(monkeypatch: pytest.MonkeyPatch, work: Any, *arguments: str) -> int:
@@ -86,10 +89,53 @@ def test_operators_commands_are_the_packml_commands() -> None:
 def test_status_imports_nothing_heavy() -> None:
     program = (
         "import sys; from srvs_cell.cli.main import run; code = run(['status', '--socket', '/nonexistent/api.sock']);"
-        "heavy = {'numpy', 'cv2', 'scipy', 'fastapi', 'yaml', 'rich', 'mujoco', 'srvs_cell.cell'};"
+        "heavy = {'numpy', 'cv2', 'scipy', 'fastapi', 'yaml', 'rich', 'mujoco', 'pydantic', 'srvs_cell.cell'};"
         "print(code, sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "1 []"
     assert "5006 NO_DAEMON" in done.stderr
     assert find_spec("numpy"), "the check means something only where numpy is installed"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "value"),
+    [
+        (["--path", "a/b"], Path("a/b")),
+        ([], Path("default")),
+        (["--number", "7"], 7),
+        (["--word", "x"], "x"),
+        (["--choice", "two"], "two"),
+        (["--flag"], True),
+    ],
+)
+def test_a_quick_command_passes_what_a_plain_one_passes(arguments: list[str], value: object) -> None:
+    taken = []
+    for cls in (TyperCommand, QuickCommand):
+        app = typer.Typer()
+
+        def work(
+            path: Annotated[Path, typer.Option()] = Path("default"),
+            number: Annotated[int, typer.Option(min=1, max=9)] = 3,
+            word: Annotated[str | None, typer.Option()] = None,
+            choice: Annotated[Literal["one", "two"], typer.Option()] = "one",
+            flag: Annotated[bool, typer.Option("--flag")] = False,
+        ) -> None:
+            taken.append((path, number, word, choice, flag))
+
+        app.command(cls=cls)(work)
+        app(arguments, standalone_mode=False)
+    assert taken[0] == taken[1]
+    assert [type(one) for one in taken[0]] == [type(one) for one in taken[1]]
+    assert value in taken[1]
+
+
+@pytest.mark.parametrize("arguments", [["--limit", "0"], ["--limit", "x"], ["--limit"], ["--sock", "x"], ["extra"]])
+def test_a_quick_command_refuses_what_a_plain_one_refuses(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    assert main.run(["alarms", *arguments]) == 2
+    quick = capsys.readouterr().err
+    monkeypatch.setattr(operate, "QuickCommand", TyperCommand)
+    assert main.run(["alarms", *arguments]) == 2
+    assert capsys.readouterr().err == quick
