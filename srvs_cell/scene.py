@@ -152,6 +152,27 @@ class Workpiece:
     grasp_refusal: str = ""
 
 
+@dataclass(frozen=True)
+class TableCheck:
+    """What the table, whose place is known, told of calibration and poses.
+
+    Attributes:
+        blocks: number of blocks of table that the measurement rests on.
+        disparity_px: by how much the table's disparity in the middle of the image differs from the expected one.
+        row_px: by how much its rows differ there.
+        sigma_px: standard deviation of ``disparity_px``.
+        correction_mm: what was added to a point of the table there, base frame.
+        refusal: why nothing was corrected; empty where it was.
+    """
+
+    blocks: int
+    disparity_px: float
+    row_px: float
+    sigma_px: float
+    correction_mm: Point3
+    refusal: str = ""
+
+
 @dataclass(frozen=True, eq=False)
 class Perception:
     """All that one stereo pair told.
@@ -163,6 +184,7 @@ class Perception:
         surfaces: matched planes in the base frame; empty without calibration.
         workpieces: recognised objects; empty without calibration.
         timings_ms: milliseconds per step, in the order of the steps.
+        table: what the table told of calibration and poses; None where it was not asked.
     """
 
     left: PlaneImage
@@ -172,6 +194,7 @@ class Perception:
     surfaces: tuple[Surface, ...]
     workpieces: tuple[Workpiece, ...]
     timings_ms: dict[str, float]
+    table: TableCheck | None = None
 
 
 class PlaceKind(StrEnum):

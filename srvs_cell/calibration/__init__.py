@@ -4,6 +4,7 @@ from srvs_cell.calibration.calibration import Calibration, CameraIntrinsics, Han
 from srvs_cell.calibration.check import CalibrationVerdict, Finding, Level, check_calibration, verdict
 from srvs_cell.calibration.error_budget import ErrorBudget
 from srvs_cell.calibration.lateral_path import BaselineReport, check_baseline, measure_baseline, plan_right_pose
+from srvs_cell.calibration.table_reference import TableReference
 
 __all__ = [
     "BaselineReport",
@@ -15,6 +16,7 @@ __all__ = [
     "HandEye",
     "Level",
     "RobotFrames",
+    "TableReference",
     "Uncertainty",
     "check_baseline",
     "check_calibration",

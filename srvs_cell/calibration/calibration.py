@@ -80,6 +80,9 @@ class Uncertainty:
         hand_eye_deg: of the camera's orientation on the tool, per axis.
         pose_mm: of the right pose against the left one, per axis.
         pose_deg: of the right orientation against the left one, per axis.
+        distortion_k1: of the lens' first radial coefficient.
+        distortion_k2: of the second one.
+        table_mm: of the table's height in the base frame.
     """
 
     focal_relative: Annotated[float, Field(ge=0.0, le=0.5, description="share of f")] = 0.001
@@ -88,6 +91,9 @@ class Uncertainty:
     hand_eye_deg: Annotated[float, Field(ge=0.0, le=180.0, description="per axis")] = 0.05
     pose_mm: Annotated[float, Field(ge=0.0, le=1000.0, description="right pose against left, per axis")] = 0.03
     pose_deg: Annotated[float, Field(ge=0.0, le=180.0, description="right pose against left, per axis")] = 0.005
+    distortion_k1: Annotated[float, Field(ge=0.0, le=10.0, description="first radial coefficient")] = 0.003
+    distortion_k2: Annotated[float, Field(ge=0.0, le=10.0, description="second radial coefficient")] = 0.006
+    table_mm: Annotated[float, Field(ge=0.0, le=100.0, description="height of the table")] = 0.1
 
 
 _Section = TypeVar("_Section")

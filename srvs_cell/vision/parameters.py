@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from srvs_cell.vision.recognition import RecognitionParameters
+from srvs_cell.vision.table_alignment import TableParameters
 
 _CONFIG = ConfigDict(extra="forbid")
 
@@ -178,6 +179,7 @@ class VisionParameters:
     interpolation: InterpolationParameters = Field(default_factory=InterpolationParameters)
     refinement: RefinementParameters = Field(default_factory=RefinementParameters)
     grouping: GroupingParameters = Field(default_factory=GroupingParameters)
+    table: TableParameters = Field(default_factory=TableParameters)
     recognition: RecognitionParameters = Field(default_factory=RecognitionParameters)
 
     @classmethod
@@ -188,4 +190,5 @@ class VisionParameters:
             interpolation=InterpolationParameters(sub_pixel=False),
             refinement=RefinementParameters(enabled=False),
             grouping=GroupingParameters(enabled=False),
+            table=TableParameters(enabled=False),
         )

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from srvs_cell.calibration import TableReference
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage, Surface
     from srvs_cell.vision.rectification import RectifiedRig
@@ -108,6 +109,7 @@ def recognise(
     rig: RectifiedRig,
     table_z_mm: float,
     parameters: RecognitionParameters | None = None,
+    reference: TableReference | None = None,
 ) -> tuple[Workpiece, ...]:
     """Group surfaces into objects, recognise their kinds and measure them.
 
@@ -118,6 +120,7 @@ def recognise(
         rig: the rectified cameras.
         table_z_mm: height of the table in the base frame.
         parameters: limits; the defaults where None.
+        reference: corrects what calibration and poses misplace; None corrects nothing.
 
     Returns:
         Workpieces, the highest first; shapes that are not recognised have the kind ``unknown``.
@@ -149,7 +152,7 @@ def recognise(
             tops[owner] = tops[owner].joined(surface)
         elif _rises(surface, table_z_mm, limits):
             unknown.append(surface)
-    workpieces = [_workpiece(top, rig, table_z_mm, limits) for top in tops]
+    workpieces = [_workpiece(top, rig, table_z_mm, limits, reference) for top in tops]
     workpieces += [_unknown(surface, table_z_mm) for surface in unknown]
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
@@ -280,13 +283,22 @@ def _rises(surface: Surface, table_z_mm: float, limits: RecognitionParameters) -
     )
 
 
-def _workpiece(top: _Top, rig: RectifiedRig, table_z_mm: float, limits: RecognitionParameters) -> Workpiece:
+def _workpiece(
+    top: _Top, rig: RectifiedRig, table_z_mm: float, limits: RecognitionParameters, reference: TableReference | None
+) -> Workpiece:
     face = _long_side_first(top.fit.face)
     centre = (face.x_mm, face.y_mm, face.z_mm)
+    if reference is None:
+        systematic = rig.error_budget.systematic_mm2(centre)
+    else:
+        systematic = reference.covariance_mm2(centre)
+        x_mm, y_mm, z_mm = (float(value) for value in centre + reference.correction_mm(centre))
+        face = replace(face, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
+        centre = (x_mm, y_mm, z_mm)
     mm_per_px = (rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
     # edges that do not fit are another face's or a shadow's, and may have moved a side by some times their misfit
     doubt_mm = _DOUBT_FACTOR * max(0.0, top.fit.rms_px - SURE_RMS_PX) * float(mm_per_px)
-    covariance = top.fit.covariance_mm2 + rig.error_budget.systematic_mm2(centre) + np.eye(3) * doubt_mm**2
+    covariance = top.fit.covariance_mm2 + systematic + np.eye(3) * doubt_mm**2
     grasp, refusal = plan_grasp(face, covariance, table_z_mm, limits.grasp)
     return Workpiece(
         id=0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ def perception_to_json(perception: Perception, *, calibrated: bool = True) -> di
     }
     if calibrated:
         report["workpieces"] = [workpiece_to_json(workpiece) for workpiece in perception.workpieces]
+        if perception.table is not None:
+            report["table"] = asdict(perception.table)
     report["timings_ms"] = dict(perception.timings_ms)
     return report
 
