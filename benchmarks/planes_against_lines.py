@@ -5,7 +5,7 @@
 DATA is the folder that holds ``middlebury2001`` and ``rendered_scenes`` ($SRVS_DATA, or ../shared/data beside the
 repository). The paper: 42 s against 171 s on an IBM PC/AT, and three drawbacks of lines: distortion, inaccurate
 disparity of lines nearly parallel to the motion, time for eight parameters a line. The line matcher is a
-reconstruction (docs/explanation/line-matching.md), its thresholds chosen in its favour on these Middlebury pairs.
+reconstruction (docs/explanation/line-matching.md), its thresholds chosen in its favour on these very pictures.
 
 A match is right where the median of its disparity error is at most 1 px: of a plane over its pixels, of a line along
 its length. A line lies on the border of two faces, so that the best truth within 3 px to either side counts. Planes are

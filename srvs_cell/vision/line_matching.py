@@ -16,7 +16,7 @@ right line, prolonged if need be, crosses that row. A line that makes the angle 
 that is uncertain by sigma / sin(a): this is the inaccuracy that the paper names for lines displaced in a direction
 similar to their own. Below `near_horizontal_deg` the crossing is worth less than the lines' ends: these are compared.
 
-The defaults were chosen in the baseline's favour on the Middlebury pairs it is judged by (docs/benchmarks.md).
+The defaults were chosen in the baseline's favour on the very pictures it is judged by (docs/benchmarks.md).
 """
 
 from __future__ import annotations
