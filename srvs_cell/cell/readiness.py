@@ -49,6 +49,7 @@ class Readiness:
                 await device.connect()
             except PortError as error:
                 self._notices.raise_alarm(AlarmError(error.alarm, f"{name}: {error.detail}"))
+            self._notices.changed()
 
     async def clear(self) -> None:
         """Reach what cannot be reached, reset the controller's fault: both only because an operator has asked.

@@ -78,6 +78,12 @@ class Unit:
         self._runner = JobRunner(equipment, self._hand, self._notices, self._readiness.keep_status)
         self._work = StateWork(equipment, self._hand, self._notices, self._readiness, self._runner, self._issue)
         self._transitions = asyncio.Event()
+        self._rounds = 0
+
+    @property
+    def turns(self) -> int:
+        """Grows while the unit's loops turn: with each round of the monitor and each change that can be seen."""
+        return self._rounds + self._notices.version
 
     @property
     def state(self) -> State:
@@ -193,12 +199,16 @@ class Unit:
 
     async def _monitor(self) -> None:
         """Watch the arm at an interval."""
+        interval_s = self.equipment.parameters.status_interval_s
         while True:
+            self._rounds += 1
             try:
-                await self._devices.clock.sleep(self.equipment.parameters.status_interval_s)
+                await self._devices.clock.sleep(interval_s)
             except PortError as error:
                 self._fail(error)
-                return
+                # There is no other time to wait by until an operator's clear has reached the cell's clock again.
+                await asyncio.sleep(interval_s)
+                continue
             try:
                 await self._readiness.watch(self._state)
             except AlarmError as error:

@@ -42,6 +42,8 @@ MODULES = {
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 _MISUSES = frozenset({Alarm.CONFIG_INVALID, Alarm.DRIVER_UNKNOWN})
+_CONFIGURED = frozenset({"run", "config"})
+"""Commands to which a calibration is a part of the config: starting them again does not mend it."""
 
 
 def main() -> NoReturn:
@@ -66,8 +68,13 @@ def run(arguments: list[str]) -> int:
         return INTERRUPTED
     except AlarmError as error:
         typer.echo(f"srvs-cell: {error}", err=True)
-        return MISUSED if error.alarm in _MISUSES else FAILED
+        return MISUSED if error.alarm in _misuses(arguments[0]) else FAILED
     return 0
+
+
+def _misuses(command: str) -> frozenset[Alarm]:
+    """Return the alarms that say of a command that what it was given is wrong."""
+    return _MISUSES | {Alarm.CALIBRATION_INVALID} if command in _CONFIGURED else _MISUSES
 
 
 def application(arguments: list[str]) -> typer.Typer:

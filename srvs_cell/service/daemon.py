@@ -96,7 +96,7 @@ async def _operate(
     async with serving(app, unix, tcp) as servers:
         life = asyncio.create_task(unit.run())
         stop = asyncio.create_task(stopping.wait())
-        helpers = (asyncio.create_task(_tell_status(unit)), asyncio.create_task(_feed_watchdog(life)))
+        helpers = (asyncio.create_task(_tell_status(unit)), asyncio.create_task(_feed_watchdog(unit, life)))
         _log.info("serving", socket=str(service.socket), page=page_url)
         notify("READY=1")
         try:
@@ -155,10 +155,16 @@ async def _tell_status(unit: Unit) -> None:
         await unit.wait_change(snapshot["version"])
 
 
-async def _feed_watchdog(life: asyncio.Task[None]) -> None:
-    """Give the sign of life while the unit's task lives; it shares its event loop, so that a blocked loop is silent."""
+async def _feed_watchdog(unit: Unit, life: asyncio.Task[None]) -> None:
+    """Give the sign of life while the unit's task lives and its loops have turned since the last sign.
+
+    A blocked event loop is silent, and so is a unit that waits for something that never comes.
+    """
     interval_s = watchdog_interval_s()
+    told = None
     while interval_s is not None and not life.done():
-        notify("WATCHDOG=1")
+        if (turns := unit.turns) != told:
+            notify("WATCHDOG=1")
+            told = turns
         await asyncio.sleep(interval_s)
     await asyncio.wait({life})

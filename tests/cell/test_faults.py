@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srvs_cell.cell import CommandAnswer, StereoLook
-    from srvs_cell.ports import PortError
+    from srvs_cell.ports import PortError, RobotStatus
     from srvs_cell.scene import Perception
 
 ENDS = ("Complete", "Held", "Stopped", "Aborted", "Suspended")
@@ -483,3 +483,46 @@ async def test_maintenance_looks_and_touches_nothing(tmp_path: Path) -> None:
         assert (cell.state, cell.alarms) == ("Stopped", [])
         assert len(cell.arm.targets) == 2
         assert len(cell.unit.snapshot()["workpieces"]) == 3
+
+
+# -- the unit itself ------------------------------------------------------------------------------------------------
+
+
+async def test_a_unit_turns_while_it_waits_and_not_while_a_driver_never_answers(tmp_path: Path) -> None:
+    async with running(build(tmp_path)) as cell:
+        await connected(cell)
+        await cell.to_idle()
+        before = cell.unit.turns
+        await cell.clock.sleep(10.0)
+        assert cell.unit.turns >= before + 10
+
+        answers = asyncio.Event()
+
+        async def silence() -> RobotStatus:
+            await answers.wait()
+            return cell.arm.present
+
+        cell.arm.status = silence  # type: ignore[method-assign]
+        await cell.clock.sleep(2.0)
+        before = cell.unit.turns
+        await cell.clock.sleep(60.0)
+        assert cell.unit.turns == before
+        answers.set()
+
+
+async def test_a_clock_that_was_lost_is_watched_by_again_after_clear(tmp_path: Path) -> None:
+    async with running(build(tmp_path, parameters=replace(PARAMETERS, status_interval_s=0.001))) as cell:
+        await connected(cell)
+        await cell.to_idle()
+        there = cell.clock.sleep
+
+        async def gone(seconds: float) -> None:
+            raise NotConnectedError(Alarm.CONNECTION_LOST, f"no {seconds} s on a clock that is gone")
+
+        cell.clock.sleep = gone  # type: ignore[method-assign]
+        assert await cell.reaches("Aborted") == "Aborted"
+        cell.clock.sleep = there  # type: ignore[method-assign]
+        await cell.to_idle()
+        cell.arm.present = replace(cell.arm.present, fault="SRVO-001")
+        assert await cell.reaches("Aborted") == "Aborted", "nobody watches the arm any more"
+        assert cell.alarms == ["ROBOT_FAULT"]

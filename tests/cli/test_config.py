@@ -48,7 +48,7 @@ def test_check_of_a_wrong_config_exits_2_with_the_reason(tmp_path: Path, capsys:
 def test_check_of_a_real_cell_without_calibration_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     copy = tmp_path / "cell.yaml"
     copy.write_bytes((CONFIGS / "cell.fanuc-modbus.yaml").read_bytes())
-    assert run(["config", "check", str(copy)]) == 1
+    assert run(["config", "check", str(copy)]) == 2
     assert "3101 CALIBRATION_INVALID" in capsys.readouterr().err
 
 
