@@ -51,15 +51,18 @@ class Outlines:
     last: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, faces: Sequence[Face], inclined: Sequence[bool], samples: int) -> Outlines:
+    def of(
+        cls, faces: Sequence[Face], inclined: Sequence[bool], samples: int, *, equal_sides: bool = False
+    ) -> Outlines:
         """Sample faces.
 
         Args:
             faces: at least one; without a slope across.
             inclined: whether the slope along the length of each is free; only a rectangle's can be.
             samples: number of samples on each outline, a multiple of 12.
+            equal_sides: whether each side has as many samples, instead of as many as its length asks for.
         """
-        sampled = [_sample(face.figure, _counts(face, samples)) for face in faces]
+        sampled = [_sample(face.figure, _counts(face, samples, equal_sides=equal_sides)) for face in faces]
         unit, tangents, first, last = (np.stack(parts) for parts in zip(*sampled, strict=True))
         values = np.array(
             [
@@ -168,11 +171,14 @@ def _sample(figure: Figure, counts: tuple[int, ...]) -> tuple[Array, Array, NDAr
     return np.concatenate(pieces), np.concatenate(tangents), np.concatenate(first), np.concatenate(last)
 
 
-def _counts(face: Face, samples: int) -> tuple[int, ...]:
+def _counts(face: Face, samples: int, *, equal_sides: bool) -> tuple[int, ...]:
     """Return the number of samples on each side: a rectangle's by their lengths."""
     if face.figure is Figure.CIRCLE:
         return (samples,)
     if face.figure is Figure.HEXAGON:
+        sides = len(unit_corners(face.figure))
+        return (samples // sides,) * sides
+    if equal_sides:
         sides = len(unit_corners(face.figure))
         return (samples // sides,) * sides
     half = samples // 2

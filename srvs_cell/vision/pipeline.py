@@ -26,6 +26,7 @@ from srvs_cell.vision.recognition import recognise
 from srvs_cell.vision.rectification import rectify_pair, to_grey
 from srvs_cell.vision.refinement import refine_matches
 from srvs_cell.vision.region_growing import grow_regions
+from srvs_cell.vision.relief import measure_relief
 from srvs_cell.vision.table_alignment import align_table
 from srvs_cell.vision.thinning import thin
 from srvs_cell.vision.tracking import track_edges
@@ -151,7 +152,7 @@ def perceive(
             Alarm.IMAGE_INVALID, f"The left image is {_size(left_grey)}, the right one {_size(right_grey)} pixels."
         )
     valid_left, valid_right, rig = None, None, None
-    reference, table = None, None
+    reference, table, relief = None, None, None
     disparity_range = (parameters.min_disparity_px, parameters.max_disparity_px)
     if view is not None:
         pair = rectify_pair(left_grey, right_grey, view.calibration, view.base_T_tcp_left, view.base_T_tcp_right)
@@ -162,6 +163,7 @@ def perceive(
         steps.done("rectification")
         if parameters.table.enabled:
             reference, table = align_table(pair, view.table_z_mm, parameters.table)
+            relief = measure_relief(pair, view.table_z_mm, reference)
             steps.done("table")
     if early is not None and _usable(early, rig, left_grey):
         left_planes = replace(early.image, grey=left_grey)
@@ -176,7 +178,9 @@ def perceive(
     if rig is not None and view is not None:
         surfaces = surfaces_from_matches(seen.left, seen.matches, rig)
         steps.done("depth")
-        workpieces = recognise(surfaces, seen.left, seen.right, rig, view.table_z_mm, parameters.recognition, reference)
+        workpieces = recognise(
+            surfaces, seen.left, seen.right, rig, view.table_z_mm, parameters.recognition, reference, relief
+        )
         steps.done("recognition")
     return Perception(
         seen.left,

@@ -19,11 +19,21 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from srvs_cell.scene import UNKNOWN_KIND, Workpiece
-from srvs_cell.vision.face_fit import EdgeField, FaceFit
+from srvs_cell.vision.face_fit import SETTLE, EdgeField, FaceFit, fit_faces
 from srvs_cell.vision.faces import Face, Figure
 from srvs_cell.vision.grasping import GraspParameters, plan_grasp
-from srvs_cell.vision.recovery import NO_PLANE, Region, find_places, stable_regions, unmatched_planes
-from srvs_cell.vision.top_faces import SURE_RMS_PX, fit_tops, height_above_mm, tilt_deg
+from srvs_cell.vision.profile_fit import Pictures, fit_profiles, measure_blur
+from srvs_cell.vision.recovery import (
+    NO_PLANE,
+    Region,
+    find_places,
+    rising_regions,
+    stable_regions,
+    unmatched_planes,
+)
+from srvs_cell.vision.relief import risen, rising_outlines
+from srvs_cell.vision.rising_faces import fit_rising
+from srvs_cell.vision.top_faces import SURE_RMS_PX, fit_tops, height_above_mm, is_top, tilt_deg
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -34,12 +44,23 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage, Surface
     from srvs_cell.vision.rectification import RectifiedRig
+    from srvs_cell.vision.relief import Relief
 
 _HALF_TURN_DEG = 180.0
 _SHARED_PLACE = 0.4
 """Share of the smaller footprint that measuring errors never let two neighbours share."""
 _CERTAIN_RMS_PX = 0.15
 """A figure that fits like this leaves nothing for another one to explain."""
+_TRUSTED_RMS_PX = 0.5
+"""A figure that fits worse does not explain what rises at its place."""
+_RISING_WIDTH_PX = 1.5
+"""Where a face stands over the table, its outline leaves at least a seam of this width in the relief."""
+_UNSEEN_PX = 500
+"""So many pixels of relief that no face explains are a part that was not recognised."""
+_ROUNDS = 2
+import os
+
+_MSER = int(os.environ.get("MSER", "1"))
 _DOUBT_FACTOR = 6.0
 """Standard deviation that an edge misfit of a pixel more than the sure one adds, pixels."""
 _SIDE_FACE_MARGIN_MM = 4.0
@@ -49,6 +70,7 @@ _STEEP_TILT_DEG = 30.0
 _STEEP_SHARE = 0.15
 """A steep surface that only touches a part is its side face with shadow."""
 _TOP_MARGIN_MM = 5.0
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 @checked_dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
@@ -110,6 +132,7 @@ def recognise(
     table_z_mm: float,
     parameters: RecognitionParameters | None = None,
     reference: TableReference | None = None,
+    relief: Relief | None = None,
 ) -> tuple[Workpiece, ...]:
     """Group surfaces into objects, recognise their kinds and measure them.
 
@@ -121,6 +144,7 @@ def recognise(
         table_z_mm: height of the table in the base frame.
         parameters: limits; the defaults where None.
         reference: corrects what calibration and poses misplace; None corrects nothing.
+        relief: what rises over the table; None where that was not measured.
 
     Returns:
         Workpieces, the highest first; shapes that are not recognised have the kind ``unknown``.
@@ -129,20 +153,18 @@ def recognise(
     fields = (EdgeField.of(left.grey), EdgeField.of(right.grey))
     matched = tuple(surfaces)
     tops: list[_Top] = []
+    spans = ((table_z_mm, table_z_mm + limits.max_height_mm), (limits.min_size_mm, limits.max_size_mm))
     leftover = _add_tops(matched, tops, fields, rig, table_z_mm, limits)
-    if limits.recover:
+    if limits.recover and (relief is None or _MSER):
         planes = unmatched_planes(left, {surface.id for surface in matched})
         for find in (partial(_unknown_planes, planes), partial(stable_regions, left.grey)):
-            found = find_places(
-                find(_explainer(tops, rig)),
-                left.grey,
-                right.grey,
-                rig,
-                (table_z_mm, table_z_mm + limits.max_height_mm),
-                (limits.min_size_mm, limits.max_size_mm),
-            )
+            found = find_places(find(_explainer(tops, rig)), left.grey, right.grey, rig, *spans)
             _add_tops(found, tops, fields, rig, table_z_mm, limits)
-    tops = _one_per_place(tops)
+    unseen: list[Array] = []
+    if relief is None:
+        tops = _one_per_place(tops)
+    else:
+        tops, unseen = _by_relief(tops, relief, (left, right), fields, rig, table_z_mm, limits)
     unknown: list[Surface] = []
     for surface in leftover:
         owner = _column(np.array([surface.centre_mm]), surface.centre_mm[2], tops)
@@ -150,8 +172,10 @@ def recognise(
             owner = _silhouette(surface, tops, rig, table_z_mm)
         if owner is not None:
             tops[owner] = tops[owner].joined(surface)
-        elif _rises(surface, table_z_mm, limits):
+        elif relief is None and _rises(surface, table_z_mm, limits):
             unknown.append(surface)
+    for region in find_places(rising_regions(unseen, left.grey.shape), left.grey, right.grey, rig, *spans):
+        unknown.append(region)
     workpieces = [_workpiece(top, rig, table_z_mm, limits, reference) for top in tops]
     workpieces += [_unknown(surface, table_z_mm) for surface in unknown]
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
@@ -179,6 +203,76 @@ def _add_tops(
     return [surface for surface, fit in fitted if fit is None]
 
 
+def _by_relief(
+    tops: list[_Top],
+    relief: Relief,
+    images: tuple[PlaneImage, PlaneImage],
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    table_z_mm: float,
+    limits: RecognitionParameters,
+) -> tuple[list[_Top], list[Array]]:
+    """Return the tops that really rise, those that only their parallax tells among them, and what stays unexplained.
+
+    What is unexplained are outlines in the left image, each of shape (N, 2).
+    """
+    left, right = images
+    sure = [top.fit.face for top in tops if top.fit.rms_px < _CERTAIN_RMS_PX]
+    pictures = Pictures.of(left.grey, right.grey)
+    pictures = replace(pictures, blur_px=measure_blur(sure, pictures, rig, table_z_mm))
+    fits = fit_profiles(
+        [top.fit.face for top in tops], [top.fit.face.slope_u != 0.0 for top in tops], pictures, rig, table_z_mm
+    )
+    known = [
+        replace(top, fit=_surer(top.fit, fit))
+        for top, fit in zip(tops, fits, strict=True)
+        if is_top(fit, table_z_mm, limits)
+    ]
+    heights = (limits.min_height_mm, limits.max_height_mm)
+    outlines: list[Array] = []
+    for _ in range(_ROUNDS):
+        explained = _explained([top for top in known if top.fit.rms_px <= _TRUSTED_RMS_PX], rig, table_z_mm)
+        outlines = rising_outlines(relief, explained)
+        if not outlines:
+            break
+        rising = fit_rising(outlines, left, pictures, rig, heights, table_z_mm)
+        rising = [fit for fit in rising if is_top(fit, table_z_mm, limits)]
+        starts = [fit.face for fit in rising]
+        by_edges = fit_faces(starts, [face.slope_u != 0.0 for face in starts], fields, rig, SETTLE, limits.min_gradient)
+        found = [fit if other is None else _surer(other, fit) for fit, other in zip(rising, by_edges, strict=True)]
+        before = len(known)
+        for fit in sorted(found, key=lambda fit: fit.rms_px):
+            if not any(_share_place(fit, other.fit) and other.fit.rms_px <= fit.rms_px for other in known):
+                known.append(_Top(fit, ()))
+        if len(known) == before:
+            break
+    known = _one_per_place(known)
+    rising_px = risen(relief, _explained(sorted(known, key=lambda top: top.fit.rms_px), rig, table_z_mm))
+    kept = []
+    for top, pixels in zip(sorted(known, key=lambda top: top.fit.rms_px), rising_px, strict=True):
+        x, y, _ = rig.project_px(top.fit.face.corners_mm())
+        length_px = cv2.arcLength(np.column_stack([x, y]).astype(np.float32), closed=True)
+        if pixels >= _RISING_WIDTH_PX * length_px:
+            kept.append(top)
+    return kept, rising_outlines(relief, _explained(kept, rig, table_z_mm), _UNSEEN_PX)
+
+
+def _surer(by_edges: FaceFit, by_profiles: FaceFit) -> FaceFit:
+    """Return the better of two fits of one face; that to the grey values where both are good."""
+    import os
+
+    if by_profiles.rms_px <= max(float(os.environ.get("PR", "0.3")), by_edges.rms_px):
+        return replace(by_profiles, rms_px=min(by_profiles.rms_px, by_edges.rms_px))
+    return by_edges
+
+
+def _share_place(fit: FaceFit, other: FaceFit) -> bool:
+    """Whether two faces stand over one place, so that they cannot both be right."""
+    outline, standing = (one.face.corners_mm()[:, :2].astype(np.float32) for one in (fit, other))
+    shared_mm2, _ = cv2.intersectConvexConvex(outline, standing)
+    return bool(shared_mm2 > _SHARED_PLACE * min(cv2.contourArea(outline), cv2.contourArea(standing)))
+
+
 def _one_per_place(tops: list[_Top]) -> list[_Top]:
     """Return the tops without those that stand where a surer one stands; its surfaces go to the surer one.
 
@@ -186,11 +280,8 @@ def _one_per_place(tops: list[_Top]) -> list[_Top]:
     """
     kept: list[_Top] = []
     for top in sorted(tops, key=lambda one: _rank(one.fit)):
-        outline = top.fit.face.corners_mm()[:, :2].astype(np.float32)
         for number, other in enumerate(kept):
-            standing = other.fit.face.corners_mm()[:, :2].astype(np.float32)
-            shared_mm2, _ = cv2.intersectConvexConvex(outline, standing)
-            if shared_mm2 > _SHARED_PLACE * min(cv2.contourArea(outline), cv2.contourArea(standing)):
+            if _share_place(top.fit, other.fit):
                 kept[number] = replace(other, surfaces=(*other.surfaces, *top.surfaces))
                 break
         else:
@@ -206,6 +297,27 @@ def _rank(fit: FaceFit) -> tuple[int, float]:
 
 def _unknown_planes(planes: list[Region], known: Callable[[tuple[float, float]], bool]) -> list[Region]:
     return [region for region in planes if not known(region.centre_px)]
+
+
+def _explained(tops: list[_Top], rig: RectifiedRig, table_z_mm: float) -> list[Array]:
+    """Return what known parts and their pictures in the right image, laid over by the table, cover in the left one."""
+    table = np.array(rig.plane_disparity(_UP, table_z_mm))
+    polygons = []
+    for top in tops:
+        corners = top.fit.face.corners_mm()
+        x, y, disparity = rig.project_px(np.concatenate([corners, _feet(corners, table_z_mm)]))
+        laid = x - (disparity - np.column_stack([x, y, np.ones_like(x)]) @ table)
+        both = np.concatenate([np.column_stack([x, y]), np.column_stack([laid, y])])
+        hull = cv2.convexHull(both.astype(np.float32)).reshape(-1, 2).astype(np.float64)
+        rays = hull - hull.mean(axis=0)
+        polygons.append(hull + _SILHOUETTE_MARGIN_PX * rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    return polygons
+
+
+def _feet(corners_mm: Array, table_z_mm: float) -> Array:
+    """Return the points of the table under corners."""
+    feet: Array = corners_mm * (1.0, 1.0, 0.0) + (0.0, 0.0, table_z_mm)
+    return feet
 
 
 def _explainer(tops: list[_Top], rig: RectifiedRig) -> Callable[[tuple[float, float]], bool]:
@@ -252,7 +364,7 @@ def _silhouette(surface: Surface, tops: list[_Top], rig: RectifiedRig, table_z_m
     needed = _STEEP_SHARE if tilt_deg(surface) > _STEEP_TILT_DEG else _COLUMN_SHARE
     for number, top in enumerate(tops):
         corners = top.fit.face.corners_mm()
-        feet = corners * (1.0, 1.0, 0.0) + (0.0, 0.0, table_z_mm)
+        feet = _feet(corners, table_z_mm)
         shares = []
         for seen, part in zip(outline, _pictures(np.concatenate([corners, feet]), rig), strict=True):
             hull = cv2.convexHull(part)

@@ -122,6 +122,20 @@ def stable_regions(grey: NDArray[np.uint8], known: Callable[[tuple[float, float]
     return regions
 
 
+def rising_regions(outlines: Iterable[Array], shape: tuple[int, ...]) -> list[Region]:
+    """Return regions inside convex outlines in an image of a shape (height, width)."""
+    height, width = shape[:2]
+    regions = []
+    for outline in outlines:
+        corners = np.rint(outline).astype(np.int32)
+        left, top = np.maximum(corners.min(axis=0), 0)
+        right, bottom = np.minimum(corners.max(axis=0), (width - 1, height - 1))
+        mask = np.zeros((bottom - top + 1, right - left + 1), dtype=np.uint8)
+        cv2.fillConvexPoly(mask, corners - (left, top), 1)
+        regions.append(Region(NO_PLANE, mask.astype(np.bool_), (int(left), int(top))))
+    return regions
+
+
 def find_places(
     regions: Iterable[Region],
     left: NDArray[np.uint8],

@@ -86,7 +86,7 @@ def fit_tops(
     fits = {
         start.number: fit
         for start, fit in measured
-        if _is_top(fit, table_z_mm, limits) and _keeps_place(fit, surfaces[start.number], rig)
+        if is_top(fit, table_z_mm, limits) and _keeps_place(fit, surfaces[start.number], rig)
     }
     return [fits.get(number) for number in range(len(surfaces))]
 
@@ -312,7 +312,8 @@ def _hexagon_angle(hull: Array) -> float:
     return float(np.angle(harmonic) / 6.0)
 
 
-def _is_top(fit: FaceFit, table_z_mm: float, limits: RecognitionParameters) -> bool:
+def is_top(fit: FaceFit, table_z_mm: float, limits: RecognitionParameters) -> bool:
+    """Whether a fitted face may be a part's top."""
     face = fit.face
     return (
         fit.rms_px <= limits.max_rms_px

@@ -1,0 +1,170 @@
+"""Beyond the paper: what rises over the table, by plane and parallax (Irani and Anandan 1996).
+
+The right image is laid over the left one by the table's plane, corrected by what the table itself showed. Whatever
+lies on the table falls on itself, shadows and print included; the borders of what stands on it are doubled by their
+parallax and leave a difference. So a shadow can be told from a face, and what no face explains does not stay unseen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from srvs_cell.calibration import TableReference
+    from srvs_cell.geometry import Array
+    from srvs_cell.vision.rectification import RectifiedPair
+
+    Mask = NDArray[np.bool_]
+
+_UP = np.array([0.0, 0.0, 1.0])
+_SMOOTHING_PX = 1.0
+_BACKGROUND_PX = 61
+"""Side of the window whose mean is taken away: the lens darkens the two pictures differently."""
+_CALM = 4.0
+"""A difference of more than so many standard deviations is of what rises, and no part of that mean."""
+_LEAST_CALM = 0.05
+_BORDER_PX = 9
+_WINDOW_PX = 5
+_NOISE_FACTOR = 4.5
+"""Mean squared difference of a window over the noise's, from which on it is no noise."""
+_SLACK_PX = 0.25
+"""Displacement of the table's own picture that is not counted as parallax."""
+_SOBEL = 8.0
+_MIN_AREA_PX = 40
+_MIN_OUTLINE_PX = 200.0
+_JOIN_PX = 7
+_MIN_ROWS = 0.6
+"""Share of their rows that the left and the right border of one face have in common."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """What differs where the right image is laid over the left one by the table's plane.
+
+    Attributes:
+        difference: left minus right, grey values, smoothed, float32, shape (H, W); 0 where one of them saw nothing.
+        rises: where the difference is neither noise nor a small displacement of the table's picture.
+        noise: standard deviation of the difference.
+        valid: where both images saw.
+    """
+
+    difference: NDArray[np.float32]
+    rises: Mask
+    noise: float
+    valid: Mask
+
+
+def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableReference | None) -> Relief:
+    """Lay the right image over the left one by the table's plane and find what rises.
+
+    Args:
+        pair: rectified images.
+        table_z_mm: height of the table, base frame.
+        reference: what the table showed of calibration and poses.
+    """
+    height, width = pair.left.shape
+    a, b, c = pair.rig.plane_disparity(_UP, table_z_mm)
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    disparity = a * x + b * y + c
+    map_x, map_y = x - disparity, y
+    if reference is not None and np.any(reference.expected_field):
+        corners_x, corners_y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 7))
+        fields = reference.basis(corners_x, corners_y, a * corners_x + b * corners_y + c)
+        u, v = (cv2.resize((part @ reference.expected_field).astype(np.float32), (width, height)) for part in fields)
+        map_x, map_y = map_x - u, map_y + v
+    left, right = (
+        cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX) for image in (pair.left, pair.right)
+    )
+    map_x, map_y = map_x.astype(np.float32), map_y.astype(np.float32)
+    laid = cv2.remap(right, map_x, map_y, cv2.INTER_LINEAR)
+    kernel = np.ones((_BORDER_PX, _BORDER_PX), np.uint8)
+    seen_left, seen_right = (
+        cv2.erode(seen.astype(np.uint8), kernel, borderValue=0) for seen in (pair.left_valid, pair.right_valid)
+    )
+    valid = (seen_left & cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)).astype(np.bool_)
+    difference = np.where(valid, left - laid, np.float32(0.0))
+    spread = 1.4826 * float(np.median(np.abs(difference[valid]))) if valid.any() else 1.0
+    calm = (valid & (np.abs(difference) <= _CALM * spread)).astype(np.float32)
+    window = (_BACKGROUND_PX, _BACKGROUND_PX)
+    background = cv2.blur(difference * calm, window) / np.maximum(cv2.blur(calm, window), np.float32(_LEAST_CALM))
+    difference = np.where(valid, difference - background, np.float32(0.0))
+    noise = max(1.4826 * float(np.median(np.abs(difference[valid]))), 0.05) if valid.any() else 1.0
+    slope = [cv2.Sobel(left, cv2.CV_32F, *order, ksize=3) / _SOBEL for order in ((1, 0), (0, 1))]
+    near = (_WINDOW_PX, _WINDOW_PX)
+    energy = cv2.blur(difference * difference, near)
+    allowed = _NOISE_FACTOR * noise**2 + _SLACK_PX**2 * cv2.blur(slope[0] ** 2 + slope[1] ** 2, near)
+    return Relief(difference, (energy > allowed) & valid, noise, valid)
+
+
+def risen(relief: Relief, explained: Iterable[Array]) -> list[int]:
+    """Return how many rising pixels each polygon of the left image explains that none before it does."""
+    left = relief.rises.astype(np.uint8)
+    counts = []
+    for polygon in explained:
+        before = int(left.sum())
+        cv2.fillPoly(left, [np.rint(polygon).astype(np.int32)], 0)
+        counts.append(before - int(left.sum()))
+    return counts
+
+
+def rising_outlines(relief: Relief, explained: Iterable[Array], min_area_px: int | None = None) -> list[Array]:
+    """Return convex outlines of what rises and is not explained, pixels of the left image, each of shape (N, 2).
+
+    The outline of a face is doubled by its parallax: what is returned encloses both. Where only the left and the
+    right border of a face show (its upper and lower border run along the baseline), they are taken together.
+
+    Args:
+        relief: what rises.
+        explained: polygons in the left image whose insides are explained.
+        min_area_px: pieces of fewer rising pixels are left out, and pieces are not taken together; None for pieces
+            that may be the border of a face.
+    """
+    mask = relief.rises.astype(np.uint8)
+    for polygon in explained:
+        cv2.fillPoly(mask, [np.rint(polygon).astype(np.int32)], 0)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_JOIN_PX, _JOIN_PX), np.uint8))
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    pieces = [
+        _Piece.of(labels, number, boxes[number])
+        for number in range(1, count)
+        if boxes[number][4] >= (min_area_px or _MIN_AREA_PX)
+    ]
+    outlines = [piece.points for piece in pieces]
+    if min_area_px is None:
+        outlines += [
+            np.concatenate([one.points, other.points]) for one, other in combinations(pieces, 2) if one.beside(other)
+        ]
+    hulls = [cv2.convexHull(points.astype(np.float32)) for points in outlines]
+    return [hull.reshape(-1, 2).astype(np.float64) for hull in hulls if cv2.contourArea(hull) >= _MIN_OUTLINE_PX]
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """One connected piece of what rises: its pixels, and its box (left, top, right, bottom)."""
+
+    points: NDArray[np.int32]
+    box: tuple[int, int, int, int]
+
+    @classmethod
+    def of(cls, labels: NDArray[np.int32], number: int, box: NDArray[np.int32]) -> _Piece:
+        """Take a component out of the labelled image."""
+        x, y, width, height, _ = (int(value) for value in box)
+        rows, columns = np.nonzero(labels[y : y + height, x : x + width] == number)
+        points = np.column_stack([columns + x, rows + y]).astype(np.int32)
+        return cls(points, (x, y, x + width, y + height))
+
+    def beside(self, other: _Piece) -> bool:
+        """Whether the two may be the left and the right border of one face."""
+        shared = min(self.box[3], other.box[3]) - max(self.box[1], other.box[1])
+        rows = max(self.box[3] - self.box[1], other.box[3] - other.box[1])
+        apart = max(self.box[0], other.box[0]) - min(self.box[2], other.box[2])
+        return shared >= _MIN_ROWS * rows and apart > 0

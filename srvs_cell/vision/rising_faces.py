@@ -1,0 +1,221 @@
+"""Step 11d, beyond the paper: faces that only their parallax tells.
+
+Where something rises that no known face explains, its outline is a face's, doubled by the parallax that the face's
+height gives it. Each height takes its own share of the doubling away and leaves a start; which height and which figure
+it is, is seen by fitting them to the grey values of both images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
+from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from srvs_cell.geometry import Array
+    from srvs_cell.scene import PlaneImage
+    from srvs_cell.vision.face_fit import FaceFit
+    from srvs_cell.vision.profile_fit import Pictures
+    from srvs_cell.vision.rectification import RectifiedRig
+
+_HEIGHTS = 8
+_KEPT_HEIGHTS = 3
+_MARGIN_PX = 3
+_SMOOTHING_PX = 1.2
+_BLACK = 4.0
+"""Grey value below which contrast is noise: keeps the logarithm from blowing it up."""
+_BINS = 48
+_MIN_PIECE_PX = 150
+_MIN_SOLIDITY = 0.85
+_MOST_OF_OUTLINE = 1.5
+"""A plane that covers more than this much of the outline it lies in is the table."""
+_BEST = 4
+_BEST_OF_KIND = 2
+_START_SLOPE = 0.36
+_SIDES = 4
+_CORNERS = 3
+_UP = np.array([0.0, 0.0, 1.0])
+_INCLINED_GAIN = 0.7
+
+
+def fit_rising(
+    outlines: Iterable[Array],
+    left: PlaneImage,
+    pictures: Pictures,
+    rig: RectifiedRig,
+    heights_mm: tuple[float, float],
+    table_z_mm: float,
+) -> list[FaceFit]:
+    """Return the best face for each outline of what rises.
+
+    Args:
+        outlines: convex, in the left image, each of shape (N, 2); see `relief.rising_outlines`.
+        left: planes of the left image: one inside an outline may be the face.
+        pictures: the rectified images.
+        rig: the rectified cameras.
+        heights_mm: least and greatest height of a face over the table.
+        table_z_mm: height of the table, base frame.
+    """
+    found = []
+    # equal steps of parallax are equal steps of the image: 1 / distance, not height, is divided evenly
+    camera_z_mm = float(rig.base_T_camera.translation_mm[2])
+    near, far = (1.0 / (camera_z_mm - table_z_mm - height) for height in heights_mm)
+    levels = camera_z_mm - 1.0 / np.linspace(near, far, _HEIGHTS)
+    for outline in outlines:
+        doubled = [(float(z_mm), _without_parallax(outline, rig, float(z_mm), table_z_mm)) for z_mm in levels]
+        seeds = [[(z_mm, border) for z_mm, border in doubled if border is not None]]
+        seeds += [
+            [(float(z_mm), _laid(piece, rig, float(z_mm))) for z_mm in levels]
+            for piece in (*grey_pieces(pictures.images[0], outline), *_planes_inside(left, outline))
+        ]
+        fits = [fit for seed in seeds for fit in _fits_of(seed, pictures, rig, table_z_mm)]
+        level = min((fit for fit in fits if fit.face.slope_u == 0.0), key=lambda fit: fit.rms_px, default=None)
+        inclined = min((fit for fit in fits if fit.face.slope_u != 0.0), key=lambda fit: fit.rms_px, default=None)
+        best = level
+        if inclined is not None and (level is None or inclined.rms_px < _INCLINED_GAIN * level.rms_px):
+            best = inclined
+        if best is not None:
+            found.append(best)
+    return found
+
+
+def _fits_of(
+    seed: list[tuple[float, Array]], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
+) -> list[FaceFit]:
+    """Return the fits that one seed leads to: scouted at each height, then as each figure at the best heights."""
+    scouted = _fitted([_rectangle(border, z_mm) for z_mm, border in seed], pictures, rig, table_z_mm, SCOUT)
+    order = np.argsort([fit.rms_px for fit in scouted])[:_KEPT_HEIGHTS]
+    starts = [face for number in order for face in _figures(seed[number][1], seed[number][0])]
+    second = sorted(_fitted(starts, pictures, rig, table_z_mm, SCOUT), key=lambda fit: fit.rms_px)
+    return _fitted([fit.face for fit in _promising(second)], pictures, rig, table_z_mm, REACH)
+
+
+def _planes_inside(left: PlaneImage, outline: Array) -> list[Array]:
+    """Return the convex hulls of the planes inside an outline, each of shape (N, 2)."""
+    polygon = outline.astype(np.float32)
+    hulls = []
+    for plane in left.planes:
+        if plane.area_px < _MIN_PIECE_PX or cv2.pointPolygonTest(polygon, plane.centre_px, measureDist=False) < 0:
+            continue
+        x, y, width, height = plane.box_px
+        mask = (left.labels[y : y + height, x : x + width] == plane.id).astype(np.uint8)
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        hull = cv2.convexHull(np.concatenate(contours)).reshape(-1, 2)
+        if cv2.contourArea(hull) <= _MOST_OF_OUTLINE * cv2.contourArea(polygon):
+            hulls.append(hull.astype(np.float64) + (x, y))
+    return hulls
+
+
+def grey_pieces(image: NDArray[np.float32], outline: Array) -> list[Array]:
+    """Return solid pieces of one grey inside an outline, each a convex outline in the image, shape (N, 2).
+
+    The grey values inside the outline have a few modes: face, side faces, shadow, table. A face keeps its grey where
+    its border is too faint to close an edge.
+    """
+    low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - _MARGIN_PX, 0)
+    high = np.ceil(outline.max(axis=0)).astype(int) + _MARGIN_PX + 1
+    window = cv2.GaussianBlur(image[low[1] : high[1], low[0] : high[0]], (0, 0), _SMOOTHING_PX)
+    inside = np.zeros(window.shape, dtype=np.uint8)
+    cv2.fillConvexPoly(inside, np.rint(outline - low).astype(np.int32), 1)
+    inside = cv2.dilate(inside, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8))
+    levels = np.log(window + _BLACK)
+    values = levels[inside > 0]
+    if values.size < _MIN_PIECE_PX:
+        return []
+    counts, borders = np.histogram(values, bins=_BINS)
+    smooth = cv2.GaussianBlur(counts.astype(np.float32)[None], (0, 0), 1.0)[0]
+    valleys = [
+        (borders[k] + borders[k + 1]) / 2.0
+        for k in range(1, _BINS - 1)
+        if smooth[k] <= smooth[k - 1] and smooth[k] < smooth[k + 1]
+    ]
+    modes = np.digitize(levels, valleys)
+    pieces = []
+    for mode in range(len(valleys) + 1):
+        mask = ((modes == mode) & (inside > 0)).astype(np.uint8)
+        mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        for contour in contours:
+            hull = cv2.convexHull(contour)
+            area = cv2.contourArea(hull)
+            if area >= _MIN_PIECE_PX and cv2.contourArea(contour) >= _MIN_SOLIDITY * area:
+                pieces.append(hull.reshape(-1, 2).astype(np.float64) + low)
+    return pieces
+
+
+def _laid(border_px: Array, rig: RectifiedRig, z_mm: float) -> Array:
+    """Return an outline of the left image laid on a height, seen from above, shape (N, 2)."""
+    x, y = border_px.T
+    disparity = np.column_stack([x, y, np.ones_like(x)]) @ rig.plane_disparity(_UP, z_mm)
+    border: Array = rig.points_mm(x, y, disparity)[:, :2]
+    return border
+
+
+def _promising(scouted: list[FaceFit]) -> list[FaceFit]:
+    """Return the best of the scouted fits, and the best of each figure, level and inclined."""
+    kinds: dict[tuple[Figure, bool], int] = {}
+    kept = []
+    for number, fit in enumerate(scouted):
+        kind = (fit.face.figure, fit.face.slope_u != 0.0)
+        kinds[kind] = kinds.get(kind, 0) + 1
+        if number < _BEST or kinds[kind] <= _BEST_OF_KIND:
+            kept.append(fit)
+    return kept
+
+
+def _fitted(
+    starts: Sequence[Face], pictures: Pictures, rig: RectifiedRig, table_z_mm: float, effort: Sequence[float]
+) -> list[FaceFit]:
+    return fit_profiles(starts, [start.slope_u != 0.0 for start in starts], pictures, rig, table_z_mm, effort)
+
+
+def _without_parallax(outline: Array, rig: RectifiedRig, z_mm: float, table_z_mm: float) -> Array | None:
+    """Return the face, seen from above, shape (N, 2), that its doubled outline encloses if it is at a height.
+
+    The outline encloses the face and the face moved to the left by its parallax: the face is what the outline and the
+    outline moved to the right share.
+    """
+    moments = cv2.moments(outline.astype(np.float32))
+    if moments["m00"] <= 0.0:
+        return None
+    centre = np.array([moments["m10"], moments["m01"], moments["m00"]]) / moments["m00"]
+    parallax = float(np.subtract(rig.plane_disparity(_UP, z_mm), rig.plane_disparity(_UP, table_z_mm)) @ centre)
+    moved = outline.astype(np.float32) + np.array([parallax, 0.0], dtype=np.float32)
+    area, shared = cv2.intersectConvexConvex(outline.astype(np.float32), moved)
+    if shared is None or len(shared) < _CORNERS or area <= 0.0:
+        return None
+    return _laid(shared.reshape(-1, 2).astype(np.float64), rig, z_mm)
+
+
+def _rectangle(border: Array, z_mm: float) -> Face:
+    (x_mm, y_mm), (length_mm, width_mm), angle_deg = cv2.minAreaRect(border.astype(np.float32))
+    return Face(Figure.RECTANGLE, x_mm, y_mm, z_mm, float(np.deg2rad(angle_deg)), length_mm, width_mm)
+
+
+def _figures(border: Array, z_mm: float) -> list[Face]:
+    """Return the figures that a border may be, level and inclined."""
+    rectangle = _rectangle(border, z_mm)
+    moments = cv2.moments(border.astype(np.float32))
+    area = max(moments["m00"], 1.0)
+    middle = (moments["m10"] / area, moments["m01"] / area)
+    diameter = float(np.sqrt(area * 4.0 / np.pi))
+    circle = Face(Figure.CIRCLE, *middle, z_mm, 0.0, diameter, diameter)
+    corners = float(np.sqrt(area * 8.0 / (3.0 * np.sqrt(3.0))))
+    hexagons = [
+        Face(Figure.HEXAGON, *middle, z_mm, rectangle.angle_rad + turn, corners, corners * HEXAGON_RATIO)
+        for turn in (0.0, np.pi / 6.0)
+    ]
+    inclined = []
+    for _ in range(_SIDES):
+        inclined.append(replace(rectangle, slope_u=_START_SLOPE))
+        rectangle = rectangle.quarter_turned()
+    return [rectangle, circle, *hexagons, *inclined]
