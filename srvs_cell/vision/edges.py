@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _PARTITION_DEG = 45.0
 _PARTITIONS = 8
 _TURNS_DEG = (0.0, _PARTITION_DEG / 2.0)
+_CHANCE_PX = 1.0
+"""Votes that a region may lack: along an arc half of the pixels vote for it, give or take where the rows cut it."""
 _KERNEL_SIGMAS = 4.0
 _DIFFERENCE = np.array([-0.5, 0.5], dtype=np.float32)
 _SUM = np.array([1.0, 1.0], dtype=np.float32)
@@ -112,7 +114,7 @@ def supported(
     kept = np.zeros(strong.size, dtype=np.bool_)
     for each, votes in zip(regions, (first >= second, first < second), strict=True):
         pixels = np.bincount(each.of_pixel)
-        support = np.bincount(each.of_pixel, weights=votes) / pixels
+        support = (np.bincount(each.of_pixel, weights=votes) + _CHANCE_PX) / pixels
         evidence = each.length_px * np.bincount(each.of_pixel, weights=strength) / pixels
         kept |= ((support >= parameters.min_support) & (evidence >= parameters.min_length_px))[each.of_pixel]
     return kept
