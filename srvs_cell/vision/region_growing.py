@@ -137,20 +137,27 @@ def _cores(runs: _LevelRuns) -> NDArray[np.uint16]:
     pairs, paired = _highest_first(np.minimum(runs.level[runs.one], runs.level[runs.other]))
     one, other = rank[runs.one[pairs]], rank[runs.other[pairs]]
     label_of_run = np.zeros(order.size, dtype=np.uint16)
-    root = np.arange(order.size)
-    seeds = np.zeros(0, dtype=np.intp)
+    group = np.zeros(order.size, dtype=np.intp)
+    group_of_region = np.zeros(0, dtype=np.intp)
+    groups = 0
     for before, now, first, last in zip(reached, reached[1:], paired, paired[1:], strict=False):
-        root[:now] = joined(root[:now], one[first:last], other[first:last])
+        group[before:now] = np.arange(groups, groups + now - before)
+        root = joined(np.arange(groups + now - before), group[one[first:last]], group[other[first:last]])
+        lowest = root == np.arange(root.size)
+        renumbered = (np.cumsum(lowest) - 1)[root]
+        group[:now] = renumbered[group[:now]]
+        group_of_region = renumbered[group_of_region]
+        is_new = np.flatnonzero(lowest) >= groups
+        groups = is_new.size
         # a group of runs is a new region, or the rest of the one region that it holds, or is shared by several
-        held = np.bincount(root[seeds], minlength=now)
-        label = np.zeros(now, dtype=np.uint16)
-        label[root[seeds]] = np.arange(1, seeds.size + 1)
+        regions = group_of_region.size
+        held = np.bincount(group_of_region, minlength=groups)
+        fresh = np.flatnonzero(is_new & (held == 0))[: _MAX_LABEL - regions]
+        group_of_region = np.concatenate([group_of_region, fresh])
+        label = np.zeros(groups, dtype=np.uint16)
+        label[group_of_region] = np.arange(1, group_of_region.size + 1)
         label[held > 1] = 0
-        new = np.arange(before, now)
-        fresh = new[(root[new] == new) & (held[new] == 0)][: _MAX_LABEL - seeds.size]
-        label[fresh] = np.arange(seeds.size + 1, seeds.size + 1 + fresh.size)
-        seeds = np.concatenate([seeds, fresh])
-        label_of_run[order[new]] = label[root[new]]
+        label_of_run[order[before:now]] = label[group[before:now]]
     return label_of_run
 
 
