@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from benchmarks.perceive_rendered import data_folder
-from benchmarks.perception_time import elapsed_ms, read_scene
+from benchmarks.perception_time import EARLY, elapsed_ms, read_scene
 from srvs_cell.scene import Plane
 from srvs_cell.vision import VisionParameters, perceive
 from srvs_cell.vision.matching import match_planes
@@ -34,7 +34,6 @@ SIDES = (1, 2, 3, 5)
 PLANE_COUNTS = (100, 300, 1000)
 DISPARITY_RANGE_PX = (20.0, 60.0)
 MEGAPIXEL = 1e6
-EARLY = ("edges", "filtering", "thinning", "tracking", "region_growing", "plane_parameters")
 
 
 def rectified(folder: Path) -> list[NDArray[np.uint8]]:
