@@ -31,7 +31,7 @@ _LEVELS_PX = (24.0, 16.0, 11.0, 8.0, 5.0, 3.0, 2.0, 1.0, 0.5)
 _REACHED_BY = np.sum(np.arange(256) >= 2.0 * np.array(_LEVELS_PX)[:, None], axis=0).astype(np.uint8)
 """The number of circles that reach a pixel, by its distance to the nearest edge in half pixels."""
 _CUT_OFF = -0.499
-_MAX_LABEL = 65535
+_OPEN = -1
 _MEETING_STEPS = 40
 _EDGE_STEPS = 3
 _NEAR_EDGE = np.ones((3, 3), np.uint8)
@@ -58,27 +58,28 @@ def grow_regions(
     usable = np.ones(grey.shape, dtype=np.bool_) if valid is None else valid
     distance = cv2.distanceTransform((usable & ~edges).view(np.uint8), cv2.DIST_L2, 3)
     labels = np.pad(grow_between_edges(np.asarray(distance, dtype=np.float32)), 1)
-    _Growth(labels).into(np.flatnonzero(np.pad(usable, 1) & (labels == 0)), _EDGE_STEPS)
-    return join_regions(grey, labels[1:-1, 1:-1].astype(np.int32), edges, parameters)
+    _grow(labels, np.flatnonzero(np.pad(usable, 1) & (labels == 0)), _EDGE_STEPS)
+    return join_regions(grey, np.ascontiguousarray(labels[1:-1, 1:-1]), edges, parameters)
 
 
-def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.uint16]:
+def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.int32]:
     """Return the regions that grow from their cores until they meet each other or an edge.
 
     Args:
         distance_px: distance to the nearest edge, 0 on it, shape (H, W).
 
     Returns:
-        Labels 1 and up, uint16, shape (H, W), 0 on edges. Regions beyond the 65535th are left out.
+        Labels 1 and up, int32, shape (H, W), 0 on edges.
     """
     runs = _LevelRuns.of(distance_px)
     label_of_run = _cores(runs)
     labels = runs.painted(label_of_run)
-    growth = _Growth(labels)
-    shared = np.zeros(0, dtype=np.intp)
+    shared = np.flatnonzero((label_of_run == 0) & (runs.level > 0))
+    level_of_shared = runs.level[shared]
+    left = np.zeros(0, dtype=np.intp)
     for level in range(len(_LEVELS_PX), 0, -1):
-        among = np.flatnonzero((runs.level == level) & (label_of_run == 0))
-        shared = growth.into(np.concatenate([shared, runs.pixels(among)]), _MEETING_STEPS)
+        reached = runs.pixels(shared[level_of_shared == level])
+        left = _grow(labels, np.concatenate([left, reached]), _MEETING_STEPS)
     return labels[1:-1, 1:-1]
 
 
@@ -118,7 +119,7 @@ class _LevelRuns:
         other = np.concatenate([run - 1, of_pixel[begin[run] - width], of_pixel[begin[run] + width]])
         return cls((framed.shape[0], width), level, begin, length, one, other)
 
-    def painted(self, label: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    def painted(self, label: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the framed image with each run's label on its pixels."""
         return np.repeat(label, self.length).reshape(self.shape)
 
@@ -128,7 +129,7 @@ class _LevelRuns:
         return np.asarray(np.arange(length.sum()) + np.repeat(self.begin[runs] - np.cumsum(length) + length, length))
 
 
-def _cores(runs: _LevelRuns) -> NDArray[np.uint16]:
+def _cores(runs: _LevelRuns) -> NDArray[np.int32]:
     """Return the label of each run that belongs to one region alone, 0 for those that several regions share."""
     # high levels first: what a circle reaches is at the front of the list, what was reached before too
     order, reached = _highest_first(runs.level)
@@ -136,7 +137,7 @@ def _cores(runs: _LevelRuns) -> NDArray[np.uint16]:
     rank[order] = np.arange(order.size)
     pairs, paired = _highest_first(np.minimum(runs.level[runs.one], runs.level[runs.other]))
     one, other = rank[runs.one[pairs]], rank[runs.other[pairs]]
-    label_of_run = np.zeros(order.size, dtype=np.uint16)
+    label_of_run = np.zeros(order.size, dtype=np.int32)
     group = np.zeros(order.size, dtype=np.intp)
     group_of_region = np.zeros(0, dtype=np.intp)
     groups = 0
@@ -150,11 +151,10 @@ def _cores(runs: _LevelRuns) -> NDArray[np.uint16]:
         is_new = np.flatnonzero(lowest) >= groups
         groups = is_new.size
         # a group of runs is a new region, or the rest of the one region that it holds, or is shared by several
-        regions = group_of_region.size
         held = np.bincount(group_of_region, minlength=groups)
-        fresh = np.flatnonzero(is_new & (held == 0))[: _MAX_LABEL - regions]
+        fresh = np.flatnonzero(is_new & (held == 0))
         group_of_region = np.concatenate([group_of_region, fresh])
-        label = np.zeros(groups, dtype=np.uint16)
+        label = np.zeros(groups, dtype=np.int32)
         label[group_of_region] = np.arange(1, group_of_region.size + 1)
         label[held > 1] = 0
         label_of_run[order[before:now]] = label[group[before:now]]
@@ -167,41 +167,43 @@ def _highest_first(level: NDArray[np.uint8]) -> tuple[NDArray[np.intp], list[int
     return np.argsort(len(_LEVELS_PX) - level, kind="stable"), [0, *np.cumsum(counts[:0:-1]).tolist()]
 
 
-class _Growth:
-    """Growth of labels, in place, into pixels that have none.
+def _grow(labels: NDArray[np.int32], pixels: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
+    """Grow the labels by so many pixels into those that have none, in place.
 
     A pixel with neighbours of several labels takes the highest. Only the front is looked at: a pixel can be reached
     only from one that was reached in the step before.
+
+    Args:
+        labels: in a frame of one pixel.
+        pixels: numbers in the flat image of the pixels to grow into, shape (N,).
+        steps: how far.
+
+    Returns:
+        The pixels that were not reached.
     """
-
-    def __init__(self, labels: NDArray[np.uint16]) -> None:
-        """Take the labels, in a frame of one pixel."""
-        self._label = labels.ravel()
-        self._beside = np.array([[-labels.shape[1]], [-1], [1], [labels.shape[1]]])
-        self._open = np.zeros(labels.size, dtype=np.bool_)
-        self._writer = np.zeros(labels.size, dtype=np.int32)
-
-    def into(self, pixels: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
-        """Grow by so many pixels into those given by their numbers in the flat image; returns those not reached."""
-        label, beside, open_to, writer = self._label, self._beside, self._open, self._writer
-        up, left, right, down = (label[pixels + step] for step in beside)
-        front = pixels[(up | left | right | down) > 0]
-        if not front.size:
-            return pixels
-        open_to[pixels] = True
-        for _ in range(steps):
-            around = front + beside
-            label[front] = label[around].max(axis=0)
-            open_to[front] = False
-            following = around[open_to[around]]
-            if not following.size:
-                break
-            # a pixel beside several of the front is met several times: the one that wrote its number last stays
-            number = np.arange(following.size, dtype=np.int32)
-            writer[following] = number
-            front = following[writer[following] == number]
-        open_to[pixels] = False
-        return np.asarray(pixels[label[pixels] == 0])
+    label, width = labels.ravel(), labels.shape[1]
+    beside = np.array([[-width], [-1], [1], [width]])
+    up, left, right, down = (label[pixels + step] for step in beside)
+    front = pixels[(up | left | right | down) > 0]
+    if not front.size:
+        return pixels
+    label[pixels] = _OPEN
+    writer = np.empty(label.size, dtype=np.int32)
+    for _ in range(steps):
+        around = front + beside
+        label[front] = 0
+        met = label[around]
+        label[front] = met.max(axis=0)
+        following = around[met == _OPEN]
+        if not following.size:
+            break
+        # a pixel beside several of the front is met several times: the one that wrote its number last stays
+        number = np.arange(following.size, dtype=np.int32)
+        writer[following] = number
+        front = following[writer[following] == number]
+    missed = pixels[label[pixels] == _OPEN]
+    label[missed] = 0
+    return np.asarray(missed)
 
 
 def join_regions(
