@@ -15,6 +15,7 @@ import numpy as np
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.scene import Perception, PlaneImage, PlaneMatch
+from srvs_cell.vision.dense import fill_disparity
 from srvs_cell.vision.edges import extract_edges
 from srvs_cell.vision.filtering import filter_edges
 from srvs_cell.vision.grouping import Grouping, group_surfaces
@@ -278,4 +279,8 @@ def _match(
         else:
             fill_rows(disparity_px, left.labels, (plane, right.planes[match.right - 1]), ends)
     steps.done("interpolation")
+    if grouping.surfaces and parameters.dense.enabled:
+        images = (left.grey, right.grey)
+        disparity_px = fill_disparity(images, grouping.surfaces, parameters.dense, parameters.refinement, valid[0])
+        steps.done("dense")
     return grouping, disparity_px
