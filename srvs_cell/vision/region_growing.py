@@ -13,6 +13,7 @@ among the runs; single pixels are looked at only where cores meet.
 from __future__ import annotations
 
 import heapq
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -74,12 +75,13 @@ def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.int32]:
     runs = _LevelRuns.of(distance_px)
     label_of_run = _cores(runs)
     labels = runs.painted(label_of_run)
-    shared = np.flatnonzero((label_of_run == 0) & (runs.level > 0))
-    level_of_shared = runs.level[shared]
+    order, counts = _highest_first(np.where(label_of_run == 0, runs.level, 0))
+    shared = order[: counts[-1]]
+    pixels = runs.pixels(shared)
+    bounds = np.concatenate([[0], np.cumsum(runs.length[shared])])[counts]
     left = np.zeros(0, dtype=np.intp)
-    for level in range(len(_LEVELS_PX), 0, -1):
-        reached = runs.pixels(shared[level_of_shared == level])
-        left = _grow(labels, np.concatenate([left, reached]), _MEETING_STEPS)
+    for first, last in itertools.pairwise(bounds.tolist()):
+        left = _grow(labels, np.concatenate([left, pixels[first:last]]), _MEETING_STEPS)
     return labels[1:-1, 1:-1]
 
 
