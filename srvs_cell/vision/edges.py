@@ -39,24 +39,24 @@ class EdgeImage:
 
     Attributes:
         mask: bool, shape (H, W): pixels of the regions that were kept.
-        gradient: float32, shape (2, H, W): grey values per pixel along x and along y, at (x + 0.5, y + 0.5).
+        gradient: grey values per pixel along x and along y, at (x + 0.5, y + 0.5), each float32, shape (H, W).
         threshold: least gradient of a strong pixel, grey values per pixel.
     """
 
     mask: NDArray[np.bool_]
-    gradient: NDArray[np.float32]
+    gradient: tuple[NDArray[np.float32], NDArray[np.float32]]
     threshold: float
 
 
 def extract_edges(grey: NDArray[np.uint8], parameters: EdgeParameters) -> EdgeImage:
     """Find the line-support regions of a grey image, uint8, shape (H, W)."""
     gradient = gradient_2x2(smooth(grey, parameters.smoothing_px))
-    magnitude = np.asarray(cv2.magnitude(gradient[0], gradient[1]), dtype=np.float32)
+    magnitude = np.asarray(cv2.magnitude(*gradient), dtype=np.float32)
     threshold = strong_gradient(magnitude, parameters)
     strong = np.flatnonzero(magnitude > threshold)
     mask = np.zeros(grey.shape, dtype=np.bool_)
     if strong.size:
-        x, y = gradient.reshape(2, -1)[:, strong]
+        x, y = (slope.ravel()[strong] for slope in gradient)
         direction_deg = np.rad2deg(np.arctan2(y, x))
         strength = magnitude.ravel()[strong] / np.float32(threshold)
         kept = supported(strong, direction_deg, strength, grey.shape[1], parameters)
@@ -73,16 +73,17 @@ def smooth(grey: NDArray[np.uint8], sigma_px: float) -> NDArray[np.float32]:
     return np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, kernel, kernel), dtype=np.float32)
 
 
-def gradient_2x2(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the gradient along x and y by Burns' 2x2 masks, (2, H, W), at (x + 0.5, y + 0.5).
+def gradient_2x2(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the gradient along x and along y by Burns' 2x2 masks, each (H, W), at (x + 0.5, y + 0.5).
 
     It is 0 in the last row and column.
     """
-    gradient = np.empty((2, *image.shape), dtype=np.float32)
-    for along, across, down in zip(gradient, (_DIFFERENCE, _SUM), (_SUM, _DIFFERENCE), strict=True):
-        cv2.sepFilter2D(image, cv2.CV_32F, across, down, dst=along, anchor=(0, 0))
-    gradient[:, -1], gradient[:, :, -1] = 0.0, 0.0
-    return gradient
+    slopes = []
+    for across, down in ((_DIFFERENCE, _SUM), (_SUM, _DIFFERENCE)):
+        slope = np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, across, down, anchor=(0, 0)), dtype=np.float32)
+        slope[-1], slope[:, -1] = 0.0, 0.0
+        slopes.append(slope)
+    return slopes[0], slopes[1]
 
 
 def strong_gradient(magnitude: NDArray[np.float32], parameters: EdgeParameters) -> float:
