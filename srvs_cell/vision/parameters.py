@@ -112,6 +112,9 @@ class MatchingParameters:
     maxima: Annotated[Maxima, Field(description="the maxima run over all planes or over admissible candidates")] = (
         Maxima.ADMISSIBLE
     )
+    ordered: Annotated[
+        bool, Field(description="beyond the paper: matches that cross others or have equal rivals are ambiguous")
+    ] = True
 
 
 @dataclass(frozen=True, kw_only=True, config=_CONFIG)
@@ -215,7 +218,7 @@ class VisionParameters:
     def faithful(cls) -> VisionParameters:
         """Return the paper's own algorithm: whole-pixel ends, maxima over all planes, nothing beyond the paper."""
         return cls(
-            matching=MatchingParameters(maxima=Maxima.ALL_PLANES),
+            matching=MatchingParameters(maxima=Maxima.ALL_PLANES, ordered=False),
             interpolation=InterpolationParameters(sub_pixel=False),
             refinement=RefinementParameters(enabled=False),
             grouping=GroupingParameters(enabled=False),

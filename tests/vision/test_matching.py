@@ -8,7 +8,7 @@ from srvs_cell.scene import Plane
 from srvs_cell.vision.matching import PlanePair, match_planes
 from srvs_cell.vision.parameters import MatchingParameters, Maxima
 
-PAPER = MatchingParameters(max_row_distance_px=2.0, max_column_margin_px=0.0)
+PAPER = MatchingParameters(max_row_distance_px=2.0, max_column_margin_px=0.0, ordered=False)
 RANGE = (10.0, 40.0)
 
 
