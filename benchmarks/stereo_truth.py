@@ -186,7 +186,7 @@ def _offset_plane(rows: NDArray[np.intp], columns: NDArray[np.intp], disparity: 
         return np.array([0.0, 0.0, _UNCOVERED_PX])
     points = np.column_stack([columns, rows, np.ones(rows.size)])[there]
     difference = disparity[there] - points @ plane
-    solution: Array = np.array([0.0, 0.0, float(np.median(difference))])
+    solution = np.asarray([0.0, 0.0, float(np.median(difference))], dtype=np.float64)
     for _ in range(_FIT_STEPS):
         residual = difference - points @ solution
         scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(residual))), _LEAST_SCALE_PX)
