@@ -4,14 +4,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 OUT ?= srvs-cell-demo
+# contrib and plain OpenCV share a folder: the peers' environment is their own
+PEERS := .benchmarks/peers
+PEERS_STAMP := $(PEERS)/.installed
 
-.PHONY: help venv demo test check bench format clean
+.PHONY: help venv demo test check bench bench-peers format clean
 
 help:
 	@echo "make demo   the paper's whole job on a simulated cell, with a report in $(OUT)/"
 	@echo "make test   every test"
 	@echo "make check  ruff, mypy strict, import-linter"
 	@echo "make bench  the figures of docs/benchmarks.md"
+	@echo "make bench-peers  our planes beside other stereo matchers, in an environment of their own"
 
 $(STAMP): requirements-dev.txt pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("srvs_cell needs Python 3.11 or newer; set PYTHON=") if sys.version_info < (3, 11) else None'
@@ -36,6 +40,14 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/run_all.py
+
+$(PEERS_STAMP): benchmarks/peers-requirements.txt
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet -r $<
+	touch $@
+
+bench-peers: $(PEERS_STAMP)
+	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(PEERS)/bin/python -m benchmarks.peers
 
 format: $(STAMP)
 	$(BIN)/ruff check --fix .

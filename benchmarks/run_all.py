@@ -13,6 +13,7 @@ HERE = Path(__file__).parent
 SCRIPTS: tuple[tuple[str, ...], ...] = (
     ("plan_problems.py",),
     ("perceive_middlebury.py",),
+    ("perceive_chessboard.py",),
     ("perceive_rendered.py",),
     ("perception_time.py",),
     ("daemon_cost.py",),

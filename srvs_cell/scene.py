@@ -180,11 +180,14 @@ class Perception:
     Attributes:
         left, right: rectified images and their planes.
         matches: matched planes.
-        disparity_px: float32, shape (H, W) of the rectified left image; NaN outside matched planes.
+        disparity_px: float32, shape (H, W) of the rectified left image; NaN outside matched planes, unless it was asked
+            to be filled.
         surfaces: matched planes in the base frame; empty without calibration.
         workpieces: recognised objects; empty without calibration.
         timings_ms: milliseconds per step, in the order of the steps.
         table: what the table told of calibration and poses; None where it was not asked.
+        ambiguous_planes: left planes that have no match because several partners are alike, or because the best one
+            crosses better matches; as they were before surfaces were joined.
     """
 
     left: PlaneImage
@@ -195,6 +198,7 @@ class Perception:
     workpieces: tuple[Workpiece, ...]
     timings_ms: dict[str, float]
     table: TableCheck | None = None
+    ambiguous_planes: tuple[Plane, ...] = ()
 
 
 class PlaceKind(StrEnum):

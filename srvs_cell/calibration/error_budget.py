@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from srvs_cell.calibration.calibration import Uncertainty
 
@@ -60,31 +59,29 @@ class ErrorBudget:
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
     def jacobian(self, point_mm: ArrayLike) -> Array:
-        """Return the derivative of an estimated point by each cause: shape (3, 18), millimetres per unit.
+        """Return the derivative of estimated points by each cause: shape (..., 3, 18), millimetres per unit.
 
         Args:
-            point_mm: the point in the base frame, shape (3,).
+            point_mm: points in the base frame, shape (..., 3).
         """
-        point = self.base_T_camera.inverse().apply(np.asarray(point_mm, dtype=np.float64))
-        columns = []
-        for unit, index in zip(_units(), range(_COUNT), strict=True):
-            errors = np.zeros(_COUNT)
-            errors[index] = _STEPS[unit]
-            slope = (self._estimate(point, errors) - self._estimate(point, -errors)) / (2.0 * _STEPS[unit])
-            columns.append(self.base_T_camera.rotate(slope))
-        return np.column_stack(columns)
+        points = self.base_T_camera.inverse().apply(np.asarray(point_mm, dtype=np.float64))[..., None, :]
+        steps = np.array([_STEPS[unit] for unit in _units()])
+        errors = np.diag(steps)
+        slopes = (self._estimate(points, errors) - self._estimate(points, -errors)) / (2.0 * steps[:, None])
+        columns: Array = np.swapaxes(self.base_T_camera.rotate(slopes), -1, -2)
+        return columns
 
-    def point_errors(self, point_mm: ArrayLike, *, sigma_x_px: float, sigma_d_px: float) -> dict[str, Array]:
-        """Return the covariance of a point by cause, each 3x3 in square millimetres, base frame.
+    def point_errors(self, point_mm: ArrayLike, *, sigma_x_px: ArrayLike, sigma_d_px: ArrayLike) -> dict[str, Array]:
+        """Return the covariance of points by cause, each of shape (..., 3, 3) in square millimetres, base frame.
 
         Args:
-            point_mm: the point in the base frame, shape (3,).
-            sigma_x_px: standard deviation of its place in the left image, per axis.
-            sigma_d_px: standard deviation of its disparity.
+            point_mm: points in the base frame, shape (..., 3).
+            sigma_x_px: standard deviation of their place in the left image, per axis, shape (...) or one for all.
+            sigma_d_px: standard deviation of their disparity, likewise.
         """
         jacobian = self.jacobian(point_mm)
         given = self.uncertainty
-        sigmas = {
+        sigmas: dict[str, ArrayLike] = {
             "pixel_x": sigma_x_px,
             "pixel_y": sigma_x_px,
             "disparity": sigma_d_px,
@@ -98,59 +95,78 @@ class ErrorBudget:
         covariances = {}
         start = 0
         for name, _, count in _CAUSES:
-            part = jacobian[:, start : start + count] * sigmas[name]
-            covariances[name] = part @ part.T
+            part = jacobian[..., start : start + count] * np.asarray(sigmas[name], dtype=np.float64)[..., None, None]
+            covariances[name] = part @ np.swapaxes(part, -1, -2)
             start += count
         return covariances
 
-    def covariance_mm2(self, point_mm: ArrayLike, *, sigma_x_px: float, sigma_d_px: float) -> Array:
-        """Return the whole covariance of a point, 3x3, square millimetres, base frame; arguments as `point_errors`."""
+    def covariance_mm2(self, point_mm: ArrayLike, *, sigma_x_px: ArrayLike, sigma_d_px: ArrayLike) -> Array:
+        """Return the whole covariance of points, (..., 3, 3), square millimetres, base frame; see `point_errors`."""
         return _total(self.point_errors(point_mm, sigma_x_px=sigma_x_px, sigma_d_px=sigma_d_px).values())
 
     def systematic_mm2(self, point_mm: ArrayLike) -> Array:
-        """Return the part of a point's covariance that calibration and poses cause, 3x3, square millimetres."""
+        """Return the part of points' covariance that calibration and poses cause, (..., 3, 3), square millimetres."""
         causes = self.point_errors(point_mm, sigma_x_px=0.0, sigma_d_px=0.0)
         return _total(covariance for name, covariance in causes.items() if name not in _RANDOM)
 
     def _estimate(self, point: Array, errors: Array) -> Array:
-        """Return where a point (left camera frame) would be placed if the numbers that place it had these errors."""
+        """Return where points (left camera frame) would be placed if the numbers that place them had these errors.
+
+        Args:
+            point: shape (..., 3).
+            errors: one of each component of the causes, shape (..., 18).
+        """
         f_px = self.f_px
-        pixel_x, pixel_y, disparity, focal = errors[:4]
-        principal = errors[4:6]
-        hand_eye_mm, hand_eye_rad = errors[6:9], errors[9:12]
-        pose_mm, pose_rad = errors[12:15], errors[15:18]
-        x, y, depth = point
-        left = np.array([f_px * x / depth + pixel_x, f_px * y / depth + pixel_y])
-        right = np.array([f_px * (x - self.baseline_mm) / depth + pixel_x - disparity, left[1]])
+        pixel_x, pixel_y, disparity, focal = np.moveaxis(errors[..., :4], -1, 0)
+        principal_x, principal_y = np.moveaxis(errors[..., 4:6], -1, 0)
+        hand_eye_mm, hand_eye_rad = errors[..., 6:9], errors[..., 9:12]
+        pose_mm, pose_rad = errors[..., 12:15], errors[..., 15:18]
+        x, y, depth = np.moveaxis(point, -1, 0)
+        left_x, left_y = f_px * x / depth + pixel_x, f_px * y / depth + pixel_y
+        right_x = f_px * (x - self.baseline_mm) / depth + pixel_x - disparity
         believed_f_px = f_px * (1.0 + focal)
-        left_ray = np.append((left - principal) / believed_f_px, 1.0)
-        right_ray = np.append((right - principal) / believed_f_px, 1.0)
-        turn = Rotation.from_rotvec(hand_eye_rad)
-        pose_turn = Rotation.from_rotvec(pose_rad)
-        left_centre = hand_eye_mm
+        left_ray, right_ray = (
+            np.stack(
+                np.broadcast_arrays(
+                    (column - principal_x) / believed_f_px, (left_y - principal_y) / believed_f_px, 1.0
+                ),
+                axis=-1,
+            )
+            for column in (left_x, right_x)
+        )
         # the right camera hangs on the TCP: a wrong orientation of the pose also swings it about the TCP
         arm = -np.asarray(self.tcp_in_camera_mm) + hand_eye_mm
-        right_centre = np.array([self.baseline_mm, 0.0, 0.0]) - arm + hand_eye_mm + pose_turn.apply(arm) + pose_mm
-        return _intersect(left_centre, turn.apply(left_ray), right_centre, pose_turn.apply(turn.apply(right_ray)))
+        right_centre = np.array([self.baseline_mm, 0.0, 0.0]) - arm + hand_eye_mm + _turned(arm, pose_rad) + pose_mm
+        right_ray = _turned(_turned(right_ray, hand_eye_rad), pose_rad)
+        return _intersect(hand_eye_mm, _turned(left_ray, hand_eye_rad), right_centre, right_ray)
 
 
 def _total(covariances: Iterable[Array]) -> Array:
-    total = np.zeros((3, 3))
-    for covariance in covariances:
-        total += covariance
-    return total
+    return np.asarray(sum(covariances), dtype=np.float64)
 
 
 def _units() -> list[str]:
     return [unit for _, unit, count in _CAUSES for _ in range(count)]
 
 
+def _turned(vector: Array, rotation_rad: Array) -> Array:
+    """Return vectors turned by rotation vectors (Rodrigues), shapes (..., 3)."""
+    angle = np.linalg.norm(rotation_rad, axis=-1, keepdims=True)
+    moved = np.cross(rotation_rad, vector)
+    # sin(a)/a and (1 - cos(a))/a^2, which have limits at 0
+    sine, versine = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    return np.asarray(vector + sine * moved + versine * np.cross(rotation_rad, moved))
+
+
 def _intersect(left_centre: Array, left_ray: Array, right_centre: Array, right_ray: Array) -> Array:
-    """Return the point of the left ray that is nearest to the right ray."""
+    """Return the points of left rays that are nearest to right rays, shape (..., 3)."""
     between = right_centre - left_centre
-    left_left, left_right, right_right = left_ray @ left_ray, left_ray @ right_ray, right_ray @ right_ray
-    along = (right_right * (left_ray @ between) - left_right * (right_ray @ between)) / (
+    left_left, left_right, right_right = _dot(left_ray, left_ray), _dot(left_ray, right_ray), _dot(right_ray, right_ray)
+    along = (right_right * _dot(left_ray, between) - left_right * _dot(right_ray, between)) / (
         left_left * right_right - left_right**2
     )
-    point: Array = left_centre + along * left_ray
-    return point
+    return np.asarray(left_centre + along * left_ray)
+
+
+def _dot(one: Array, other: Array) -> Array:
+    return np.asarray((one * other).sum(axis=-1, keepdims=True))

@@ -235,6 +235,11 @@ class Journal:
         """Return the newest alarms, newest first."""
         return self._read("SELECT * FROM alarms ORDER BY id DESC LIMIT ?", (limit,), ())
 
+    async def unresolved_runs(self) -> frozenset[int]:
+        """Return the runs whose motions have an intent without outcome."""
+        rows = await self._read("SELECT DISTINCT run FROM motions WHERE outcome IS NULL AND run IS NOT NULL", (), ())
+        return frozenset(int(row["run"]) for row in rows)
+
     def runs(self, limit: int = 100) -> Future[list[Json]]:
         """Return the newest runs, newest first."""
         return self._read("SELECT * FROM runs ORDER BY id DESC LIMIT ?", (limit,), ())

@@ -13,6 +13,7 @@ from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.job import End, Job
 from srvs_cell.cell.journal import GripperKnowledge
 from srvs_cell.cell.manipulator import Manipulator
+from srvs_cell.cell.notices import CELL
 from srvs_cell.cell.packml import Mode
 from srvs_cell.cell.recorder import RUN_FOLDER
 from srvs_cell.cell.steps import look_only, retreat, start_over, whole_job
@@ -154,6 +155,11 @@ class JobRunner:
         run = await self._notices.written(journal.begin_run(mode.title, str(recorder.state_dir / RUN_FOLDER)))
         with self._devices.clock.working():
             folder = await asyncio.to_thread(recorder.begin, run)
+            unresolved = await journal.unresolved_runs()
+            removed = await asyncio.to_thread(recorder.prune, run, unresolved)
+        if removed:
+            event = journal.event("prune", "run folders", run=run, source=CELL, detail={"runs": removed})
+            await self._notices.written(event)
         self.job = self._make_job(steps, run, folder, dry_run=mode is Mode.DRY_RUN)
         self._notices.run = run
         return self.job

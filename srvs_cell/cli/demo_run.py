@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _JOB_LIMIT_S, _STATE_LIMIT_S = 900.0, 60.0
 _POLL_S = 0.05
+_MOVE_STEPS = {"pick", "place"}
 _WORKING = {"Starting", "Execute", "Unholding", "Completing", "Suspending", "Unsuspending"}
 
 
@@ -95,10 +96,11 @@ def work_through(client: DaemonClient, progress: Callable[[str], None]) -> dict[
     started_s = time.monotonic()
     shown: tuple[Any, ...] = ()
     for status in client.changes():
-        now = (status["state"], status["step"], status["moves_done"])
+        now = (status["state"], status["step"])
         if now != shown and status["step"] is not None:
-            moves = f", move {status['moves_done']} of {status['moves_total']}" if status["moves_total"] else ""
-            progress(f"[{status['clock_s']:8.1f} s] {status['state']}: {status['step'].replace('_', ' ')}{moves}")
+            moving = status["step"] in _MOVE_STEPS
+            move = f", move {status['moves_done'] + 1} of {status['moves_total']}" if moving else ""
+            progress(f"[{status['clock_s']:8.1f} s] {status['state']}: {status['step'].replace('_', ' ')}{move}")
             shown = now
         if status["state"] not in _WORKING or time.monotonic() - started_s > _JOB_LIMIT_S:
             return status

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from srvs_cell.cli.simulated_cell import CALIBRATION_FILE, write_config
 from srvs_cell.cli.simulator import simulator_failure, start_simulator, stop_simulator
 
 _LAST_PORT = 65535
@@ -33,8 +34,16 @@ def sim(
     calibration_out: Annotated[
         Path | None, typer.Option("--calibration-out", help="Write the calibration file of this cell there.")
     ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--folder", help="Make cell.yaml, calibration.yaml and clock there: all that 'run' needs."),
+    ] = None,
 ) -> None:
     """Run the simulated cell on the loopback until Ctrl-C; prints one JSON line: what listens where."""
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        clock_page = clock_page or folder.resolve() / "clock"
+        calibration_out = folder / CALIBRATION_FILE
     arguments = ["--objects", str(objects), "--seed", str(seed), "--speed", str(speed)]
     arguments += ["--imperfections", imperfections, "--modbus-port", str(modbus_port)]
     for option, path in (("--clock-page", clock_page), ("--calibration-out", calibration_out)):
@@ -42,6 +51,8 @@ def sim(
             arguments += [option, str(path)]
     process, listens = start_simulator(arguments)
     try:
+        if folder is not None:
+            write_config(folder / "cell.yaml", listens, {})
         typer.echo(json.dumps(listens))
         if process.wait() != 0:
             raise simulator_failure(process)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _DAEMON_START_S, _DAEMON_STOP_S, _CONTROL_TIMEOUT_S = 30.0, 15.0, 30.0
 _POLL_S = 0.05
+CALIBRATION_FILE = "calibration.yaml"
 _LOG_LINES = 15
 
 
@@ -148,7 +149,7 @@ def simulated_cell(options: SimulationOptions, folder: Path) -> Iterator[Simulat
         arguments = [
             "--objects", str(options.objects), "--seed", str(options.seed), "--speed", str(options.speed),
             "--imperfections", options.imperfections, "--clock-page", str(short / "clock"),
-            "--calibration-out", str(folder / "calibration.yaml"),
+            "--calibration-out", str(folder / CALIBRATION_FILE),
         ]  # fmt: skip
         process, listening = start_simulator(arguments, folder / "simulator.log")
         stack.callback(stop_simulator, process)
@@ -156,7 +157,7 @@ def simulated_cell(options: SimulationOptions, folder: Path) -> Iterator[Simulat
         stack.callback(control.close)
         socket_path = short / "run" / "api.sock"
         config = folder / "cell.yaml"
-        config.write_text(yaml.safe_dump(_config(listening, socket_path), sort_keys=False), encoding="utf-8")
+        write_config(config, listening, {"socket": str(socket_path), "tcp_port": None, "state_dir": "state"})
         daemon = DaemonProcess(config, socket_path, folder / "daemon.log")
         stack.callback(daemon.stop)
         daemon.start()
@@ -164,16 +165,22 @@ def simulated_cell(options: SimulationOptions, folder: Path) -> Iterator[Simulat
         yield SimulatedCell(control, daemon, client, config, process)
 
 
-def _config(listening: Mapping[str, Any], socket_path: Path) -> dict[str, Any]:
-    """Return the embedded simulation config with what this simulator listens on."""
+def write_config(path: Path, listening: Mapping[str, Any], service: Mapping[str, Any]) -> None:
+    """Write the config of a daemon for a simulated cell: the embedded one with what this simulator listens on.
+
+    Args:
+        path: the file; the calibration is ``calibration.yaml`` beside it.
+        listening: what the simulator has printed.
+        service: keys of the section ``service`` that differ from the embedded config's.
+    """
     config: dict[str, Any] = yaml.safe_load(embedded_config())
     x, y, z, w, p, r = listening["observe_pose"]
     config["cell"]["look"]["observe_pose"] = {"xyz_mm": [x, y, z], "wpr_deg": [w, p, r]}
     config["cell"]["look"]["baseline_mm"] = listening["baseline_mm"]
     config["cell"]["table_z_mm"] = listening["table_z_mm"]
-    config["calibration"] = "calibration.yaml"
+    config["calibration"] = CALIBRATION_FILE
     config["devices"]["clock"]["path"] = listening["clock_page"]
     config["devices"]["camera"]["port"] = listening["camera_port"]
     config["devices"]["arm"]["port"] = listening["modbus_port"]
-    config["service"] |= {"socket": str(socket_path), "tcp_port": None, "state_dir": "state"}
-    return config
+    config["service"] |= service
+    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")

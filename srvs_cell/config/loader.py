@@ -61,6 +61,9 @@ class ServiceConfig(BaseModel):
         int | None, Field(ge=_UNPRIVILEGED_PORT, le=_LAST_PORT, description="loopback port of the page; null: none")
     ] = None
     state_dir: Annotated[Path, Field(description="journal and run folders")] = Path("/var/lib/srvs-cell")
+    keep_runs: Annotated[
+        int, Field(ge=10, le=100_000, description="run folders that are kept; the oldest are removed when a job begins")
+    ] = 200
 
 
 class _File(BaseModel):

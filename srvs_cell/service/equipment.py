@@ -43,7 +43,7 @@ def make_unit(config: CellConfig, state_dir: Path) -> Unit:
         parameters=config.cell,
         devices=make_devices(config),
         journal=Journal(state_dir / _JOURNAL),
-        recorder=RunRecorder(state_dir),
+        recorder=RunRecorder(state_dir, config.service.keep_runs),
         calibration=calibration,
         perceive=partial(_perceive, config, calibration),
         plan=partial(plan_relocation, parameters=config.planning, workspace=workspace),

@@ -28,6 +28,9 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _CIRCLE_POINTS = 48
 _HEXAGON_POINTS = 6
 _ARROW_HEAD_PX = 10.0
+_LABEL_GAP_PX = 11
+_SHIFT = 4
+"""Fractional bits of a curve's points: whole pixels make it waver."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +129,9 @@ def draw_plan(parts: Sequence[PlanPart], arrows: Sequence[PlanArrow]) -> NDArray
         middle = (start + stop) / 2 + np.array([-(stop - start)[1], (stop - start)[0]]) * 0.12
         share = np.linspace(0, 1, 24)[:, None]
         curve = (1 - share) ** 2 * start + 2 * share * (1 - share) * middle + share**2 * stop
+        fine = np.rint(curve * (1 << _SHIFT)).astype(np.int32)
         cv2.polylines(
-            sheet.image, [curve.astype(np.int32)], isClosed=False, color=_ARROW, thickness=2, lineType=cv2.LINE_AA
+            sheet.image, [fine], isClosed=False, color=_ARROW, thickness=2, lineType=cv2.LINE_AA, shift=_SHIFT
         )
         cv2.arrowedLine(
             sheet.image,
@@ -153,8 +157,9 @@ def draw_plan(parts: Sequence[PlanPart], arrows: Sequence[PlanArrow]) -> NDArray
             cv2.LINE_AA,
         )
     for part in parts:
-        column, row = sheet.at(part.xy_mm)
-        sheet.text(f"{part.id}: {part.height_mm:.0f} mm", (column, row - 4), _INK, 0.45)
+        column = sheet.at(part.xy_mm)[0]
+        below = max(sheet.at(corner)[1] for corner in outline_mm(part)) + _LABEL_GAP_PX  # the arrows meet in the middle
+        sheet.text(f"{part.id}: {part.height_mm:.0f} mm", (column, below), _INK, 0.45)
     sheet.text("base y / mm, to the left", (_WIDTH_PX // 2, sheet.image.shape[0] - 16), _INK)
     sheet.text("base x / mm, upwards", (100, 20), _INK)
     return sheet.image

@@ -62,7 +62,11 @@ def _mm(value: float | None) -> str:
 
 
 def _mean_and_max(summary: Mapping[str, float | None]) -> str:
-    return f"{_mm(summary['mean'])} mm / {_mm(summary['max'])} mm"
+    return f"{_with_unit(summary['mean'])} / {_with_unit(summary['max'])}"
+
+
+def _with_unit(value_mm: float | None) -> str:
+    return _DASH if value_mm is None else f"{value_mm:.2f} mm"
 
 
 def compare(
@@ -75,8 +79,8 @@ def compare(
         Comparison(
             "time from first image to last release", PAPER_TIME, _DASH if job_time_s is None else f"{job_time_s:.1f} s"
         ),
-        Comparison("mean position error", PAPER_MEAN_ERROR, f"{_mm(error['mean'])} mm"),
-        Comparison("maximum position error", PAPER_MAX_ERROR, f"{_mm(error['max'])} mm"),
+        Comparison("mean position error", PAPER_MEAN_ERROR, _with_unit(error["mean"])),
+        Comparison("maximum position error", PAPER_MAX_ERROR, _with_unit(error["max"])),
         Comparison("matched planes", "all", str(matched_planes)),
         Comparison("moves", "the minimum", least),
         Comparison(

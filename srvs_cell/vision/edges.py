@@ -4,6 +4,8 @@ Pixels with a strong gradient are labelled by the gradient's direction in two ov
 second turned by 22.5 degrees, so that a line whose direction falls on the border of one lies within the other.
 Connected pixels of one label are a line-support region. Each pixel votes for the longer of its two regions; a region's
 support is the share of its pixels that vote for it, and regions with enough support and length are kept.
+
+Few pixels have a strong gradient: after the threshold only these are looked at, as runs of one label along the rows.
 """
 
 from __future__ import annotations
@@ -13,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+
+from srvs_cell.vision.runs import joined, runs_of, touching_runs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,9 +24,13 @@ if TYPE_CHECKING:
     from srvs_cell.vision.parameters import EdgeParameters
 
 _PARTITION_DEG = 45.0
-_FORWARD_NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
-_CENTRE_OFFSET_PX = 0.5
-"""A 2x2 mask measures between the pixels."""
+_PARTITIONS = 8
+_TURNS_DEG = (0.0, _PARTITION_DEG / 2.0)
+_CHANCE_PX = 1.0
+"""Votes that a region may lack: along an arc half of the pixels vote for it, give or take where the rows cut it."""
+_KERNEL_SIGMAS = 4.0
+_DIFFERENCE = np.array([-0.5, 0.5], dtype=np.float32)
+_SUM = np.array([1.0, 1.0], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,119 +39,128 @@ class EdgeImage:
 
     Attributes:
         mask: bool, shape (H, W): pixels of the regions that were kept.
-        gradient: float32, shape (H, W, 2): grey values per pixel along x and y, at (x + 0.5, y + 0.5).
+        gradient: grey values per pixel along x and along y, at (x + 0.5, y + 0.5), each float32, shape (H, W).
         threshold: least gradient of a strong pixel, grey values per pixel.
     """
 
     mask: NDArray[np.bool_]
-    gradient: NDArray[np.float32]
+    gradient: tuple[NDArray[np.float32], NDArray[np.float32]]
     threshold: float
 
 
 def extract_edges(grey: NDArray[np.uint8], parameters: EdgeParameters) -> EdgeImage:
     """Find the line-support regions of a grey image, uint8, shape (H, W)."""
     gradient = gradient_2x2(smooth(grey, parameters.smoothing_px))
-    magnitude = np.hypot(gradient[..., 0], gradient[..., 1])
+    magnitude = np.asarray(cv2.magnitude(*gradient), dtype=np.float32)
     threshold = strong_gradient(magnitude, parameters)
-    rows, columns = np.nonzero(magnitude > threshold)
+    strong = np.flatnonzero(magnitude > threshold)
     mask = np.zeros(grey.shape, dtype=np.bool_)
-    if rows.size:
-        direction_deg = np.rad2deg(np.arctan2(gradient[rows, columns, 1], gradient[rows, columns, 0])) % 360.0
-        strength = np.asarray(magnitude[rows, columns] / threshold, dtype=np.float32)
-        kept = supported(rows, columns, direction_deg, strength, grey.shape, parameters)
-        mask[rows[kept], columns[kept]] = True
+    if strong.size:
+        x, y = (slope.ravel()[strong] for slope in gradient)
+        direction_deg = np.rad2deg(np.arctan2(y, x))
+        strength = magnitude.ravel()[strong] / np.float32(threshold)
+        kept = supported(strong, direction_deg, strength, grey.shape[1], parameters)
+        mask.ravel()[strong[kept]] = True
     return EdgeImage(mask, gradient, threshold)
 
 
 def smooth(grey: NDArray[np.uint8], sigma_px: float) -> NDArray[np.float32]:
     """Return the image after a Gaussian, float32."""
-    image = grey.astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), dtype=np.float32) if sigma_px > 0.0 else image
+    if sigma_px <= 0.0:
+        return grey.astype(np.float32)
+    size = 2 * round(_KERNEL_SIGMAS * sigma_px) + 1
+    kernel = cv2.getGaussianKernel(size, sigma_px, cv2.CV_32F)
+    return np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, kernel, kernel), dtype=np.float32)
 
 
-def gradient_2x2(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the gradient by Burns' 2x2 masks, (H, W, 2), at (x + 0.5, y + 0.5); 0 in the last row and column."""
-    gradient = np.zeros((*image.shape, 2), dtype=np.float32)
-    a, b, c, d = image[:-1, :-1], image[:-1, 1:], image[1:, :-1], image[1:, 1:]
-    gradient[:-1, :-1, 0] = (b + d - a - c) * _CENTRE_OFFSET_PX
-    gradient[:-1, :-1, 1] = (c + d - a - b) * _CENTRE_OFFSET_PX
-    return gradient
+def gradient_2x2(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the gradient along x and along y by Burns' 2x2 masks, each (H, W), at (x + 0.5, y + 0.5).
+
+    It is 0 in the last row and column.
+    """
+    slopes = []
+    for across, down in ((_DIFFERENCE, _SUM), (_SUM, _DIFFERENCE)):
+        slope = np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, across, down, anchor=(0, 0)), dtype=np.float32)
+        slope[-1], slope[:, -1] = 0.0, 0.0
+        slopes.append(slope)
+    return slopes[0], slopes[1]
 
 
 def strong_gradient(magnitude: NDArray[np.float32], parameters: EdgeParameters) -> float:
     """Return the least gradient of a strong pixel: above the image's own noise and texture, within the limits."""
-    noise = parameters.noise_factor * float(np.median(magnitude)) if magnitude.size else 0.0
+    median = float(np.partition(magnitude, magnitude.size // 2, axis=None)[magnitude.size // 2])
     highest = max(parameters.min_gradient, parameters.max_gradient)
-    return float(np.clip(noise, parameters.min_gradient, highest))
+    return float(np.clip(parameters.noise_factor * median, parameters.min_gradient, highest))
 
 
 def supported(
-    rows: NDArray[np.intp],
-    columns: NDArray[np.intp],
+    strong: NDArray[np.intp],
     direction_deg: NDArray[np.float32],
     strength: NDArray[np.float32],
-    shape: tuple[int, ...],
+    width: int,
     parameters: EdgeParameters,
 ) -> NDArray[np.bool_]:
     """Return which strong pixels belong to a kept line-support region.
 
     Args:
-        rows: of the strong pixels, shape (N,).
-        columns: of the strong pixels, shape (N,).
-        direction_deg: gradient direction of each, 0 to 360.
+        strong: numbers of the strong pixels in the flat image, ascending, none in its last column, shape (N,).
+        direction_deg: gradient direction of each, -180 to 180.
         strength: gradient of each over that of the weakest strong pixel. The least length is that of the weakest
             edge; a stronger one, as at the corner of a face, may be shorter in proportion.
-        shape: of the image.
+        width: of the image.
         parameters: support and length limits.
     """
-    pairs = _neighbour_pairs(rows, columns, shape)
-    regions, lengths = [], []
-    for turn_deg in (0.0, _PARTITION_DEG / 2.0):
-        bins = ((direction_deg + turn_deg) // _PARTITION_DEG).astype(np.int32) % int(360.0 / _PARTITION_DEG)
-        same = bins[pairs[0]] == bins[pairs[1]]
-        labels = _components(pairs[0][same], pairs[1][same], rows.size)
-        regions.append(labels)
-        lengths.append(_lengths(labels, rows, columns))
-    votes_first = lengths[0][regions[0]] >= lengths[1][regions[1]]
-    kept = np.zeros(rows.size, dtype=np.bool_)
-    for labels, length, votes in ((regions[0], lengths[0], votes_first), (regions[1], lengths[1], ~votes_first)):
-        pixels = np.bincount(labels)
-        support = np.bincount(labels, weights=votes) / pixels
-        evidence = length * np.bincount(labels, weights=strength) / pixels
-        kept |= ((support >= parameters.min_support) & (evidence >= parameters.min_length_px))[labels]
+    regions = [_Regions.of(strong, _partition(direction_deg, turn_deg), width) for turn_deg in _TURNS_DEG]
+    first, second = (each.length_px[each.of_pixel] for each in regions)
+    kept = np.zeros(strong.size, dtype=np.bool_)
+    for each, votes in zip(regions, (first >= second, first < second), strict=True):
+        pixels = np.bincount(each.of_pixel)
+        support = (np.bincount(each.of_pixel, weights=votes) + _CHANCE_PX) / pixels
+        evidence = each.length_px * np.bincount(each.of_pixel, weights=strength) / pixels
+        kept |= ((support >= parameters.min_support) & (evidence >= parameters.min_length_px))[each.of_pixel]
     return kept
 
 
-def _neighbour_pairs(
-    rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return the numbers of strong pixels that are 8-neighbours of each other."""
-    # a frame of one pixel makes every neighbour's index valid
-    index = np.full((shape[0] + 2, shape[1] + 2), -1, dtype=np.int32)
-    index[rows + 1, columns + 1] = np.arange(rows.size, dtype=np.int32)
-    first, second = [], []
-    for d_row, d_column in _FORWARD_NEIGHBOURS:
-        neighbour = index[rows + 1 + d_row, columns + 1 + d_column]
-        present = np.flatnonzero(neighbour >= 0)
-        first.append(present.astype(np.int32))
-        second.append(neighbour[present])
-    return np.concatenate(first), np.concatenate(second)
+def _partition(direction_deg: NDArray[np.float32], turn_deg: float) -> NDArray[np.int8]:
+    """Return the number of the 45 degrees that each direction lies in."""
+    number = np.floor((direction_deg + turn_deg) / _PARTITION_DEG).astype(np.int8)
+    return np.asarray(number % _PARTITIONS)
 
 
-def _components(first: NDArray[np.int32], second: NDArray[np.int32], count: int) -> NDArray[np.int32]:
-    graph = coo_array((np.ones(first.size, dtype=np.int8), (first, second)), shape=(count, count))
-    _, labels = connected_components(graph.tocsr(), directed=False)
-    return np.asarray(labels, dtype=np.int32)
+@dataclass(frozen=True, eq=False)
+class _Regions:
+    """Connected strong pixels of one label.
 
+    Attributes:
+        of_pixel: the region of each strong pixel, shape (N,).
+        length_px: diagonal of each region's bounding box.
+    """
 
-def _lengths(labels: NDArray[np.int32], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the diagonal of each region's bounding box, pixels."""
-    count = int(labels.max()) + 1
-    extents = []
-    for position in (rows, columns):
-        low = np.full(count, np.iinfo(np.int64).max)
-        high = np.full(count, -1)
-        np.minimum.at(low, labels, position)
-        np.maximum.at(high, labels, position)
-        extents.append(high - low + 1)
-    return np.asarray(np.hypot(extents[0], extents[1]), dtype=np.float64)
+    of_pixel: NDArray[np.intp]
+    length_px: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, strong: NDArray[np.intp], label: NDArray[np.int8], width: int) -> _Regions:
+        """Connect 8-neighbours of one label.
+
+        Args:
+            strong: numbers of the strong pixels in the flat image, ascending, none in its last column, shape (N,).
+            label: of each of them.
+            width: of the image.
+        """
+        begin = runs_of(strong, label[1:] != label[:-1])
+        first = strong[begin]
+        last = strong[np.append(begin[1:], strong.size) - 1]
+        above, below = touching_runs(first, last, width)
+        same = label[begin[above]] == label[begin[below]]
+        root = joined(np.arange(begin.size), above[same], below[same])
+        lowest = root == np.arange(begin.size)
+        count, of_run = np.count_nonzero(lowest), (np.cumsum(lowest) - 1)[root]
+        row, left = np.divmod(first, width)
+        extents = []
+        for start, end in ((row, row), (left, left + last - first)):
+            low, high = np.full(count, np.iinfo(np.intp).max), np.full(count, -1)
+            np.minimum.at(low, of_run, start)
+            np.maximum.at(high, of_run, end)
+            extents.append(high - low + 1.0)
+        return cls(np.repeat(of_run, last - first + 1), np.hypot(extents[0], extents[1]))

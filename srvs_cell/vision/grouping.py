@@ -1,8 +1,9 @@
 """Step 9, beyond the paper: regions that print and texture cut up become one surface again.
 
-Matched regions whose disparities lie on one plane suggest a surface. The surface is tested on every region of the left
-image: the right image, shifted by the surface's disparity, must show the region's grey values, clearly better than a
-pixel beside it. Neighbouring regions of one surface become one plane, in the left image and, shifted, in the right one.
+The surfaces are the few planes that together explain the pair (`srvs_cell.vision.hypotheses`). Each is tested on every
+region of the left image: the right image, shifted by the surface's disparity, must show the region's grey values,
+clearly better than a pixel beside it. Neighbouring regions of one surface become one plane, in the left image and,
+shifted, in the right one.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ import cv2
 import numpy as np
 
 from srvs_cell.scene import PlaneImage, PlaneMatch
+from srvs_cell.vision.hypotheses import LEAST_SLOPE, find_surfaces
 from srvs_cell.vision.interpolation import disparity_at
+from srvs_cell.vision.photometric import PhotometricCost
 from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.refinement import GreyPair, align_plane
 
@@ -27,11 +30,9 @@ if TYPE_CHECKING:
     from srvs_cell.scene import DisparityPlane
     from srvs_cell.vision.parameters import GroupingParameters, VisionParameters
 
-_MAX_SURFACES = 16
-_LARGEST = 40
-_TRIALS = 300
 _MIN_REGIONS = 2
-_POINTS = 3
+_SLIT_PX = 2
+"""Regions so far apart still touch: an edge lies between them."""
 _GREY_LIMIT = 30.0
 _SAMPLED_PIXELS = 1000
 """A larger region is judged by an even choice of about so many of its pixels."""
@@ -46,18 +47,22 @@ _NOISE_GREY = 0.5
 _LEAST_WEIGHT = 0.1
 """Grey values per pixel: what a pixel counts that lies on no slope."""
 _BESIDE_PX = 1.0
-_FLAT_SLOPE = 0.3
-"""A surface whose disparity changes by more per pixel is none that a camera sees well."""
-_ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Grouping:
-    """Both images with their surfaces as planes, and the matches among them."""
+    """Both images with their surfaces as planes, and the matches among them.
+
+    Attributes:
+        left, right: images and planes.
+        matches: matched planes.
+        surfaces: disparity planes that together explain the pair; empty where none were sought.
+    """
 
     left: PlaneImage
     right: PlaneImage
     matches: tuple[PlaneMatch, ...]
+    surfaces: tuple[DisparityPlane, ...] = ()
 
 
 def group_surfaces(
@@ -80,76 +85,53 @@ def group_surfaces(
         The images and matches with joined planes; the same ones where nothing was to be joined.
     """
     limits = parameters.grouping
-    surfaces = suggest_surfaces(left, matches, limits)
-    if not surfaces:
+    if not parameters.dense.enabled and not any(
+        _shared(match.disparity_plane, left, matches, limits.max_step_px) for match in matches
+    ):
         return Grouping(left, right, tuple(matches))
     pair = GreyPair.of(left.grey, right.grey)
-    # regions lie on a surface to within the step: so well it is known before it is aligned
-    sigmas_px = [limits.max_step_px] * len(surfaces)
-    owner = np.full(len(left.planes) + 1, -1, dtype=np.int_)
+    cost = PhotometricCost.of(left.grey, right.grey)
+    found = find_surfaces(left, matches, cost, pair, (limits, parameters.refinement))
+    if not found:
+        return Grouping(left, right, tuple(matches))
+    known = [each for each in found if each.sigma_px <= limits.max_step_px]
+    shared = [each for each in known if _shared(each.plane, left, matches, limits.max_step_px)]
+    surfaces, sigmas_px = [each.plane for each in shared], [each.sigma_px for each in shared]
+    if not surfaces:
+        return Grouping(left, right, tuple(matches), tuple(each.plane for each in found))
     own = np.full((len(left.planes) + 1, 3), np.nan)
     for match in matches:
         own[match.left] = match.disparity_plane
-    pixels = np.flatnonzero(left.labels)
+    # a bare table would take all the places of the few pixels that tell something
+    pixels = np.flatnonzero((left.labels > 0) & (np.abs(cost.left_x) >= LEAST_SLOPE))
     region = left.labels.ravel()[pixels]
     samples = sample_regions(left.labels, len(own))
-    for _ in range(_ROUNDS):
-        owner = assign_regions(pair, samples, own, surfaces, limits)
-        for k in np.unique(owner[owner >= 0]).tolist():
-            rows, columns = np.divmod(pixels[(owner == k)[region]], left.labels.shape[1])
-            aligned = align_plane(pair, rows, columns, surfaces[k], parameters.refinement)
-            if aligned is not None:
-                surfaces[k], sigmas_px[k] = aligned.plane, aligned.sigma_px
-    return _joined(left, right, matches, owner, list(zip(surfaces, sigmas_px, strict=True)), parameters, valid)
+    owner = assign_regions(pair, samples, own, surfaces, limits)
+    for k in np.unique(owner[owner >= 0]).tolist():
+        rows, columns = np.divmod(pixels[(owner == k)[region]], left.labels.shape[1])
+        aligned = align_plane(pair, rows, columns, surfaces[k], parameters.refinement)
+        if aligned is not None:
+            surfaces[k], sigmas_px[k] = aligned.plane, aligned.sigma_px
+        if sigmas_px[k] > limits.max_step_px:
+            # the picture does not tell where these regions lie: they cannot be taken for one surface's
+            owner[owner == k] = -1
+    joined = _joined(left, right, matches, owner, list(zip(surfaces, sigmas_px, strict=True)), parameters, valid)
+    return replace(joined, surfaces=tuple(each.plane for each in found))
 
 
-def suggest_surfaces(
-    left: PlaneImage, matches: Sequence[PlaneMatch], limits: GroupingParameters
-) -> list[DisparityPlane]:
-    """Return planes on which the disparities of at least two matched regions lie, the largest total area first.
+def _shared(surface: DisparityPlane, left: PlaneImage, matches: Sequence[PlaneMatch], max_step_px: float) -> bool:
+    """Return whether the disparities of three matched regions lie on a surface, or of two whose boxes touch.
 
-    Candidates are the largest regions' own planes and planes through three regions' centres, drawn with a fixed seed.
+    Two that are apart may do so by chance: the tops of two parts of one height.
     """
-    planes = {plane.id: plane for plane in left.planes}
-    points = np.array([(*planes[match.left].centre_px, match.disparity_px) for match in matches]).reshape(-1, 3)
-    area = np.array([planes[match.left].area_px for match in matches])
-    own = np.array([match.disparity_plane for match in matches]).reshape(-1, 3)
-    generator = np.random.default_rng(0)
-    free = np.ones(len(matches), dtype=np.bool_)
-    found: list[DisparityPlane] = []
-    while len(found) < _MAX_SURFACES and np.count_nonzero(free) >= _MIN_REGIONS:
-        numbers = np.flatnonzero(free)
-        largest = numbers[np.argsort(-area[numbers])][:_LARGEST]
-        candidates = np.concatenate([own[largest], _through_three(points[numbers], area[numbers], generator)])
-        design = np.column_stack([points[:, :2], np.ones(len(points))])
-        near = np.abs(candidates @ design.T - points[:, 2]) < limits.max_step_px
-        near &= free & (np.abs(candidates[:, :2]) < _FLAT_SLOPE).all(axis=1)[:, None]
-        # three points always have a plane: one that was drawn through three needs two more
-        needed = np.where(np.arange(len(candidates)) < largest.size, _MIN_REGIONS, _POINTS + _MIN_REGIONS)
-        near &= (near.sum(axis=1) >= needed)[:, None]
-        best = int(np.argmax(near @ area))
-        inliers = near[best]
-        if np.count_nonzero(inliers) < _MIN_REGIONS:
-            break
-        plane = candidates[best]
-        if np.count_nonzero(inliers) > _POINTS:
-            root = np.sqrt(area[inliers])
-            plane = np.linalg.lstsq(design[inliers] * root[:, None], points[inliers, 2] * root, rcond=None)[0]
-        found.append((float(plane[0]), float(plane[1]), float(plane[2])))
-        free &= ~inliers
-    return found
-
-
-def _through_three(points: Array, area: Array, generator: np.random.Generator) -> Array:
-    """Return planes through triples of points, large regions more often, shape (N, 3)."""
-    if len(points) < _POINTS:
-        return np.empty((0, 3))
-    picks = generator.choice(len(points), size=(_TRIALS, _POINTS), p=area / area.sum())
-    triples = points[picks]
-    design = np.concatenate([triples[..., :2], np.ones((_TRIALS, _POINTS, 1))], axis=-1)
-    proper = np.abs(np.linalg.det(design)) > 1.0
-    solved: Array = np.linalg.solve(design[proper], triples[proper][..., 2:])[..., 0]
-    return solved
+    regions = [left.planes[match.left - 1] for match in matches]
+    x, y = np.array([region.centre_px for region in regions]).T
+    disparity = np.array([match.disparity_px for match in matches])
+    lying = np.flatnonzero(np.abs(disparity_at(surface, x, y) - disparity) < max_step_px)
+    if lying.size != _MIN_REGIONS:
+        return lying.size > _MIN_REGIONS
+    corner, size = np.array([(regions[k].box_px[:2], regions[k].box_px[2:]) for k in lying]).transpose(1, 0, 2)
+    return bool((np.max(corner, axis=0) <= np.min(corner + size, axis=0) + _SLIT_PX).all())
 
 
 def assign_regions(
@@ -193,7 +175,7 @@ def assign_regions(
     open_to = (~matched & (lowest < limits.max_cost))[region]
     nearest = planes[best[region[open_to]]].T
     beside = np.minimum(cost(nearest, _BESIDE_PX, open_to), cost(nearest, -_BESIDE_PX, open_to))
-    distinct = beside > limits.distinctness * lowest
+    distinct = beside > limits.distinctness * lowest + _NOISE_GREY
     chosen = np.where((lowest < limits.max_cost) & np.where(matched, as_good, distinct), best, -1)
     chosen[0] = -1
     return np.asarray(chosen)

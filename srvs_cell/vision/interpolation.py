@@ -100,20 +100,20 @@ def _steepest(image: NDArray[np.float32], rows: NDArray[np.int64], x: Array, *, 
     # positions between pixels: x = k + 0.5, measured by the difference of pixels k + 1 and k
     left = np.floor(x).astype(np.int64)[:, None] + steps[None, :]
     left = np.clip(left, 0, width - 2)
-    along = image[rows[:, None], left + 1] - image[rows[:, None], left]
-    across = 0.5 * (
-        image[np.minimum(rows + 1, height - 1)[:, None], left] - image[np.maximum(rows - 1, 0)[:, None], left]
-    )
+    flat, place = image.ravel(), rows[:, None] * width + left
+    along = flat[place + 1] - flat[place]
     strength = np.abs(along)
     peak = 1 + np.argmax(strength[:, 1:-1], axis=1)
     number = np.arange(rows.size)
     before, at, after = strength[number, peak - 1], strength[number, peak], strength[number, peak + 1]
-    weight = at**2 / np.maximum(at**2 + across[number, peak] ** 2, np.finfo(np.float32).tiny)
+    column = left[number, peak]
+    across = 0.5 * (image[np.minimum(rows + 1, height - 1), column] - image[np.maximum(rows - 1, 0), column])
+    weight = at**2 / np.maximum(at**2 + across**2, np.finfo(np.float32).tiny)
     if not sub_pixel:
         return x, weight
     curvature = before - 2.0 * at + after
     offset = np.where(curvature < 0.0, 0.5 * (before - after) / np.where(curvature < 0.0, curvature, 1.0), 0.0)
-    return left[number, peak] + 0.5 + np.clip(offset, -0.5, 0.5), weight
+    return column + 0.5 + np.clip(offset, -0.5, 0.5), weight
 
 
 def fit_disparity_plane(
@@ -146,33 +146,42 @@ def robust_plane(
     x: Array, y: Array, disparity: Array, weight: Array, parameters: InterpolationParameters
 ) -> tuple[DisparityPlane, float]:
     """Fit d = a x + b y + c by reweighted least squares, slopes held towards 0; returns as `fit_disparity_plane`."""
-    middle_x, middle_y = float(np.average(x, weights=weight)), float(np.average(y, weights=weight))
-    design = np.column_stack([x - middle_x, y - middle_y, np.ones_like(x)])
+    mass = float(weight.sum())
+    middle_x, middle_y = float(weight @ x) / mass, float(weight @ y) / mass
+    design = np.stack([x - middle_x, y - middle_y, np.ones_like(x)])
     prior = np.diag([(_SAMPLE_SIGMA_PX / _SLOPE_SIGMA) ** 2] * 2 + [0.0])
     order = np.argsort(disparity)
     share = np.cumsum(weight[order])
     solution = np.array([0.0, 0.0, disparity[order][np.searchsorted(share, 0.5 * share[-1])]])
-    limit = max(parameters.max_residual_px, _MAD_TO_SIGMA * float(np.median(np.abs(disparity - solution[2]))))
-    normal = prior
+    residual = disparity - solution[2]
+    limit = max(parameters.max_residual_px, _MAD_TO_SIGMA * _median(np.abs(residual)))
     effective = weight
     for _ in range(_ITERATIONS):
-        residual = disparity - design @ solution
         # Tukey's weights forget what lies beyond the limit, which narrows to that of the parameters
-        effective = weight * np.clip(1.0 - (residual / (3.0 * limit)) ** 2, 0.0, None) ** 2
-        normal = (design * effective[:, None]).T @ design + prior
+        effective = weight * np.maximum(1.0 - (residual / (3.0 * limit)) ** 2, 0.0) ** 2
+        weighted = design * effective
         if effective.sum() <= _LEAST_WEIGHT:
             break
-        solution = np.linalg.solve(normal, (design * effective[:, None]).T @ disparity)
+        solution = np.linalg.solve(weighted @ design.T + prior, weighted @ disparity)
+        residual = disparity - solution @ design
         limit = max(parameters.max_residual_px / 2.0, limit / 2.0)
     total = float(effective.sum())
     if total > _LEAST_WEIGHT:
-        residual = disparity - design @ solution
-        spread = float(np.sqrt((effective * residual**2).sum() / total))
+        spread = float(np.sqrt(effective @ residual**2 / total))
         sigma = max(_LEAST_SIGMA_PX, spread / np.sqrt(max(total / 4.0, 1.0)))
     else:
         sigma = float(parameters.max_residual_px)
     a, b, level = (float(value) for value in solution)
     return (a, b, level - a * middle_x - b * middle_y), sigma
+
+
+def _median(values: Array) -> float:
+    """Return the middle value; of an even number the mean of the two."""
+    middle = values.size // 2
+    if values.size % 2:
+        return float(np.partition(values, middle)[middle])
+    low, high = np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1]
+    return float(low + high) / 2.0
 
 
 def disparity_at(plane: DisparityPlane, x: ArrayLike, y: ArrayLike) -> Array:
@@ -188,8 +197,8 @@ def fill_plane(
     x, y, width, height = plane.box_px
     window = (slice(y, y + height), slice(x, x + width))
     inside = labels[window] == plane.id
-    rows, columns = np.nonzero(inside)
-    disparity_px[window][inside] = disparity_at(fitted, columns + x, rows + y)
+    columns, rows = np.arange(x, x + width), np.arange(y, y + height)
+    np.copyto(disparity_px[window], disparity_at(fitted, columns, rows[:, None]), where=inside, casting="same_kind")
 
 
 def fill_rows(

@@ -12,6 +12,7 @@ own frame. Only the latter gives, with k = (f - z_P)/f, x_P = k x_L and x_P + b 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -116,10 +117,19 @@ def surfaces_from_matches(left: PlaneImage, matches: Iterable[PlaneMatch], rig: 
         plane = planes[match.left]
         x, y, width, height = plane.box_px
         border = mask_outline_px(left.labels[y : y + height, x : x + width] == plane.id, (x, y))
-        surface = place_surface(border, plane.centre_px, match, rig)
+        surface = place_surface(border, plane.centre_px, match, rig, systematic=False)
         if surface is not None:
             surfaces.append(surface)
-    return tuple(surfaces)
+    if not surfaces:
+        return ()
+    covariances = rig.error_budget.covariance_mm2(
+        [surface.centre_mm for surface in surfaces],
+        sigma_x_px=PIXEL_SIGMA_PX,
+        sigma_d_px=[surface.match.disparity_sigma_px for surface in surfaces],
+    )
+    return tuple(
+        replace(surface, covariance_mm2=covariance) for surface, covariance in zip(surfaces, covariances, strict=True)
+    )
 
 
 def mask_outline_px(mask: NDArray[np.bool_], corner_px: tuple[int, int]) -> Array:
@@ -130,7 +140,7 @@ def mask_outline_px(mask: NDArray[np.bool_], corner_px: tuple[int, int]) -> Arra
         corner_px: (x, y) of the mask's first pixel in the image.
     """
     # doubled, so that the contour's pixel centres come to lie on quarter pixels near the outer edges
-    doubled = np.repeat(np.repeat(mask.astype(np.uint8), 2, axis=0), 2, axis=1)
+    doubled = cv2.resize(mask.view(np.uint8), None, fx=2.0, fy=2.0, interpolation=cv2.INTER_NEAREST)
     contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outer = max(contours, key=len).reshape(-1, 2).astype(np.float64)
     return np.asarray(outer / 2.0 - 0.25 + corner_px, dtype=np.float64)

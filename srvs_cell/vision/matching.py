@@ -23,12 +23,27 @@ from srvs_cell.vision.parameters import Maxima
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from srvs_cell.geometry import Array
     from srvs_cell.scene import Plane
     from srvs_cell.vision.parameters import MatchingParameters
 
+    _Mask = NDArray[np.bool_]
+    _Numbers = NDArray[np.intp]
+
 _DARKEST = 1e-6
 """Keeps the ratio of two black planes defined: it is 1."""
+_ALIKE = 0.03
+"""Match functions that differ by less tell nothing: the noise, and the light on two sides of a table, differ more."""
+_NEAR_PX = 150.0
+"""Matches within this distance have a say in each other's disparity."""
+_STEEPEST = 0.2
+"""Neighbours on one surface differ in disparity by less than this share of their distance."""
+_MANY = 2
+_FAR = 4
+"""A match without alternative falls where it crosses at least `_MANY` with `_FAR` times its support: a thing in front
+of a surface crosses few, for its centre lies nearer to theirs than its disparity to theirs only when it is small."""
 
 
 @dataclass(frozen=True)
@@ -57,22 +72,95 @@ def match_planes(
     Returns:
         The pairs, by ascending left id.
     """
+    return find_matches(left, right, disparity_range_px, parameters).pairs
+
+
+@dataclass(frozen=True)
+class Matching:
+    """What the rule found.
+
+    Attributes:
+        pairs: by ascending left id.
+        ambiguous: ids of left planes with several partners that nothing tells apart, or whose match crossed others.
+    """
+
+    pairs: tuple[PlanePair, ...] = ()
+    ambiguous: tuple[int, ...] = ()
+
+
+def find_matches(
+    left: Sequence[Plane],
+    right: Sequence[Plane],
+    disparity_range_px: tuple[float, float],
+    parameters: MatchingParameters,
+) -> Matching:
+    """Match as `match_planes`, and tell which planes stay ambiguous."""
     if not left or not right:
-        return ()
+        return Matching()
     candidate, difference = _candidates(left, right, disparity_range_px, parameters)
     bright_left = np.maximum([plane.brightness for plane in left], _DARKEST)[:, None]
     bright_right = np.maximum([plane.brightness for plane in right], _DARKEST)[None, :]
     score = np.minimum(bright_left, bright_right) / np.maximum(bright_left, bright_right)
     running = score if parameters.maxima is Maxima.ALL_PLANES else np.where(candidate, score, -np.inf)
     best = (score == running.max(axis=1, keepdims=True)) & (score == running.max(axis=0, keepdims=True))
-    accepted = candidate & best & (score > parameters.match_threshold)
+    eligible = candidate & (score > parameters.match_threshold)
+    accepted = eligible & best
     ranked = np.where(accepted, difference, np.inf)
     of_left, of_right = ranked.argmin(axis=1), ranked.argmin(axis=0)
-    return tuple(
-        PlanePair(left[row].id, right[column].id, float(score[row, column]))
-        for row, column in enumerate(of_left.tolist())
-        if accepted[row, column] and of_right[column] == row
+    rows = np.flatnonzero(accepted[np.arange(len(left)), of_left] & (of_right[of_left] == np.arange(len(left))))
+    columns = of_left[rows]
+    unsure = np.zeros(rows.size, dtype=np.bool_)
+    if parameters.ordered and rows.size:
+        rivals = eligible & (score > score.max(axis=1, where=eligible, initial=0.0)[:, None] - _ALIKE)
+        unsure = _fooled(left, right, (rows, columns), eligible, rivals)
+    return Matching(
+        tuple(
+            PlanePair(left[row].id, right[column].id, float(score[row, column]))
+            for row, column in zip(rows[~unsure].tolist(), columns[~unsure].tolist(), strict=True)
+        ),
+        tuple(left[row].id for row in rows[unsure].tolist()),
     )
+
+
+def _fooled(
+    left: Sequence[Plane],
+    right: Sequence[Plane],
+    matched: tuple[_Numbers, _Numbers],
+    eligible: _Mask,
+    rivals: _Mask,
+) -> _Mask:
+    """Return which matches cross better ones, or have rivals that the matches around them favour no less.
+
+    Args:
+        left: all planes of the left image.
+        right: all planes of the right image.
+        matched: numbers of the left and the right plane of each match, shape (K,) each.
+        eligible: pairs inside the gates, shape (N, M).
+        rivals: those of them that are about as alike as each left plane's best.
+    """
+    rows, columns = matched
+    centres_left, centres_right = (np.array([plane.centre_px for plane in planes]) for planes in (left, right))
+    x_left, y_left = centres_left[rows].T
+    x_right = centres_right[columns, 0]
+    disparity = x_left - x_right
+    distance = np.hypot(x_left[:, None] - x_left, y_left[:, None] - y_left)
+    near = (distance < _NEAR_PX) & (distance > 0.0)
+    support = np.count_nonzero(near & (np.abs(disparity[:, None] - disparity) < _STEEPEST * distance), axis=1)
+    top, height = np.array([(left[row].box_px[1], left[row].box_px[3]) for row in rows.tolist()]).T
+    common = (top[:, None] < top + height) & (top < (top + height)[:, None])
+    crossing = common & ((x_left[:, None] - x_left) * (x_right[:, None] - x_right) < 0.0)
+    several = (np.count_nonzero(eligible[rows], axis=1) > 1) | (np.count_nonzero(eligible[:, columns], axis=0) > 1)
+    outdone = (crossing & (support[:, None] < support)).any(axis=1)
+    far_outdone = np.count_nonzero(crossing & (_FAR * support[:, None] < support), axis=1)
+    unsure: _Mask = np.where(several, outdone, far_outdone >= _MANY)
+    for k in np.flatnonzero(np.count_nonzero(rivals[rows], axis=1) > 1).tolist():
+        others = np.flatnonzero(rivals[rows[k]])
+        around = np.flatnonzero(near[k])
+        shift = x_left[k] - centres_right[others, 0]
+        agreeing = np.abs(shift[:, None] - disparity[around]) < _STEEPEST * distance[k, around]
+        count = np.count_nonzero(agreeing, axis=1)
+        unsure[k] |= bool((count[others != columns[k]] >= count[others == columns[k]].sum()).any())
+    return unsure
 
 
 def _candidates(

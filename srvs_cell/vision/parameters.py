@@ -112,6 +112,9 @@ class MatchingParameters:
     maxima: Annotated[Maxima, Field(description="the maxima run over all planes or over admissible candidates")] = (
         Maxima.ADMISSIBLE
     )
+    ordered: Annotated[
+        bool, Field(description="beyond the paper: matches that cross others or have equal rivals are ambiguous")
+    ] = True
 
 
 @dataclass(frozen=True, kw_only=True, config=_CONFIG)
@@ -159,6 +162,34 @@ class GroupingParameters:
     min_enclosure: Annotated[
         float, Field(gt=0.0, le=1.0, description="share of its border with a surface that makes a region print on it")
     ] = 0.9
+    min_share: Annotated[
+        float,
+        Field(gt=0.0, lt=0.5, description="what a surface must lower the mean photometric cost, 0 to 0.5, by to count"),
+    ] = 0.0015
+
+
+@dataclass(frozen=True, kw_only=True, config=_CONFIG)
+class DenseParameters:
+    """Beyond the paper: a disparity for every pixel, of the surface that explains it best.
+
+    Off unless asked for: workpieces need no more than their own surfaces, and what lies on none, a bare table, would
+    get the disparity of one.
+    """
+
+    enabled: Annotated[bool, Field(description="fill the disparity map: every pixel takes a surface's disparity")] = (
+        False
+    )
+    cell_px: Annotated[int, Field(ge=4, le=64, description="side of a superpixel")] = 8
+    smoothness: Annotated[
+        float, Field(ge=0.0, le=100.0, description="weight of a pixel of border between surfaces, in greatest costs")
+    ] = 5.0
+    contrast_grey: Annotated[
+        float, Field(gt=0.0, le=255.0, description="step of grey values that lowers a border's weight to 1/e")
+    ] = 8.0
+    iterations: Annotated[int, Field(ge=1, le=1000, description="greatest number of rounds of messages")] = 80
+    roughness_px: Annotated[
+        float, Field(ge=0.0, le=5.0, description="standard deviation of real surfaces' disparities from planes")
+    ] = 0.3
 
 
 @dataclass(frozen=True, kw_only=True, config=_CONFIG)
@@ -180,15 +211,17 @@ class VisionParameters:
     refinement: RefinementParameters = Field(default_factory=RefinementParameters)
     grouping: GroupingParameters = Field(default_factory=GroupingParameters)
     table: TableParameters = Field(default_factory=TableParameters)
+    dense: DenseParameters = Field(default_factory=DenseParameters)
     recognition: RecognitionParameters = Field(default_factory=RecognitionParameters)
 
     @classmethod
     def faithful(cls) -> VisionParameters:
         """Return the paper's own algorithm: whole-pixel ends, maxima over all planes, nothing beyond the paper."""
         return cls(
-            matching=MatchingParameters(maxima=Maxima.ALL_PLANES),
+            matching=MatchingParameters(maxima=Maxima.ALL_PLANES, ordered=False),
             interpolation=InterpolationParameters(sub_pixel=False),
             refinement=RefinementParameters(enabled=False),
             grouping=GroupingParameters(enabled=False),
+            dense=DenseParameters(enabled=False),
             table=TableParameters(enabled=False),
         )

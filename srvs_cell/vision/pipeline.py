@@ -15,12 +15,13 @@ import numpy as np
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.scene import Perception, PlaneImage, PlaneMatch
+from srvs_cell.vision.dense import fill_disparity
 from srvs_cell.vision.edges import extract_edges
 from srvs_cell.vision.filtering import filter_edges
 from srvs_cell.vision.grouping import Grouping, group_surfaces
 from srvs_cell.vision.interpolation import disparity_at, fill_plane, fill_rows, find_row_ends, fit_disparity_plane
 from srvs_cell.vision.lateral_stereo import surfaces_from_matches
-from srvs_cell.vision.matching import match_planes
+from srvs_cell.vision.matching import find_matches
 from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.recognition import recognise
 from srvs_cell.vision.rectification import rectify_pair, to_grey
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.calibration import Calibration
     from srvs_cell.geometry import Transform
-    from srvs_cell.scene import Surface, Workpiece
+    from srvs_cell.scene import Plane, Surface, Workpiece
     from srvs_cell.vision.parameters import VisionParameters
     from srvs_cell.vision.rectification import RectifiedRig
 
@@ -170,7 +171,7 @@ def perceive(
     else:
         left_planes = _analyse(left_grey, parameters, valid_left, steps)
     right_planes = _analyse(right_grey, parameters, valid_right, steps)
-    seen, disparity_px = _match(
+    seen, disparity_px, ambiguous = _match(
         left_planes, right_planes, disparity_range, parameters, (valid_left, valid_right), steps
     )
     surfaces: tuple[Surface, ...] = ()
@@ -191,6 +192,7 @@ def perceive(
         workpieces,
         steps.timings_ms,
         table,
+        ambiguous,
     )
 
 
@@ -251,16 +253,16 @@ def _match(
     parameters: VisionParameters,
     valid: tuple[Mask | None, Mask | None],
     steps: _Steps,
-) -> tuple[Grouping, NDArray[np.float32]]:
-    """Match planes and interpolate; returns planes and matches, and the dense disparity map."""
-    pairs = match_planes(left.planes, right.planes, disparity_range_px, parameters.matching)
+) -> tuple[Grouping, NDArray[np.float32], tuple[Plane, ...]]:
+    """Match planes and interpolate; returns planes and matches, the dense disparity map and the ambiguous planes."""
+    matching = find_matches(left.planes, right.planes, disparity_range_px, parameters.matching)
     steps.done("matching")
     ends = (
         find_row_ends(left.grey, left.labels, len(left.planes), parameters.interpolation, valid[0]),
         find_row_ends(right.grey, right.labels, len(right.planes), parameters.interpolation, valid[1]),
     )
     matches = []
-    for pair in pairs:
+    for pair in matching.pairs:
         fit = fit_disparity_plane(pair.left, pair.right, *ends, parameters.interpolation)
         if fit is not None:
             fitted, sigma = fit
@@ -282,4 +284,9 @@ def _match(
         else:
             fill_rows(disparity_px, left.labels, (plane, right.planes[match.right - 1]), ends)
     steps.done("interpolation")
-    return grouping, disparity_px
+    if grouping.surfaces and parameters.dense.enabled:
+        images = (left.grey, right.grey)
+        disparity_px = fill_disparity(images, grouping.surfaces, parameters.dense, parameters.refinement, valid[0])
+        steps.done("dense")
+    ambiguous = tuple(left.planes[number - 1] for number in matching.ambiguous)
+    return grouping, disparity_px, ambiguous

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
@@ -16,6 +17,12 @@ if TYPE_CHECKING:
     from srvs_cell.vision.parameters import PlaneParameters
 
 _DIAGONAL = float(np.sqrt(2.0))
+_LENGTHS = np.array(
+    [[0.0, _DIAGONAL / 2, 1.0, _DIAGONAL / 2, 0.0], [0.0, _DIAGONAL / 2, _DIAGONAL, _DIAGONAL / 2, 0.0]]
+)
+_SHARES = _LENGTHS / np.maximum(np.arange(5), 1)
+"""A pixel's share of its region's boundary in a 2x2 window: by whether the opposite pixel is of the region too, and by
+how many of the four are."""
 
 
 def measure_planes(
@@ -42,9 +49,10 @@ def measure_planes(
     safe_area = np.maximum(area, 1.0)
     centre_x = np.bincount(runs.label, weights=length * 0.5 * (runs.first + runs.last)) / safe_area
     centre_y = np.bincount(runs.label, weights=length * runs.row) / safe_area
-    brightness = np.bincount(runs.label, weights=np.add.reduceat(grey.ravel(), runs.start, dtype=np.int64)) / safe_area
-    perimeter = perimeters(labels, count)
-    border = np.flatnonzero(_boundary(labels))
+    brightness = np.bincount(runs.label, weights=runs.sums(grey)) / safe_area
+    borders = Borders.of(labels)
+    perimeter = perimeters(borders, count)
+    border = np.flatnonzero(borders.pixels())
     border_rows, border_columns = np.divmod(border, labels.shape[1])
     owner = labels.ravel()[border].astype(np.intp)
     radius = np.hypot(border_columns - centre_x[owner], border_rows - centre_y[owner])
@@ -78,41 +86,58 @@ def measure_planes(
         )
         for k in kept.tolist()
     )
-    return np.repeat(number[runs.label], length).reshape(labels.shape), planes
+    return runs.painted(number, labels.shape), planes
 
 
-def perimeters(labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+@dataclass(frozen=True, eq=False)
+class Borders:
+    """Where neighbouring pixels have different labels; beyond the image there is none.
+
+    Attributes:
+        framed: the labels in a frame of one pixel of -1.
+        across: whether a pixel differs from its right neighbour, shape (H + 2, W + 1).
+        down: whether a pixel differs from its lower neighbour, shape (H + 1, W + 2).
+    """
+
+    framed: NDArray[np.int32]
+    across: NDArray[np.bool_]
+    down: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, labels: NDArray[np.int32]) -> Borders:
+        """Find the borders of a label image, int32, shape (H, W)."""
+        framed = np.pad(labels, 1, constant_values=-1)
+        return cls(framed, framed[:, 1:] != framed[:, :-1], framed[1:] != framed[:-1])
+
+    def pixels(self) -> NDArray[np.bool_]:
+        """Return the pixels that have a 4-neighbour of another label, or none, shape (H, W)."""
+        beside = self.across[1:-1, 1:] | self.across[1:-1, :-1]
+        beside |= self.down[1:, 1:-1]
+        beside |= self.down[:-1, 1:-1]
+        return np.asarray(beside)
+
+
+def perimeters(borders: Borders, count: int) -> NDArray[np.float64]:
     """Return the length of each region's boundary, pixels, shape (count,).
 
     Every window of 2x2 pixels adds, for each region in it, the length of the boundary that passes through it: 1 where
     it passes straight, half a diagonal where it cuts one corner, a diagonal where it cuts two.
     """
-    framed = np.pad(labels, 1, constant_values=-1)
-    across, down = framed[:, 1:] != framed[:, :-1], framed[1:] != framed[:-1]
-    mixed = np.flatnonzero(across[:-1] | across[1:] | down[:, :-1])
+    framed, across = borders.framed, borders.across
+    mixed = np.flatnonzero(across[:-1] | across[1:] | borders.down[:, :-1])
     rows, columns = np.divmod(mixed, across.shape[1])
-    first = rows * framed.shape[1] + columns
-    around = np.array([0, 1, framed.shape[1] + 1, framed.shape[1]])
-    corners = framed.ravel()[first[:, None] + around]
-    same = corners[:, :, None] == corners[:, None, :]
-    members = same.sum(axis=2)
-    opposite = same[:, np.arange(4), (np.arange(4) + 2) % 4]
-    length = np.where(members == 2, np.where(opposite, _DIAGONAL, 1.0), _DIAGONAL / 2.0)  # noqa: PLR2004 - half of four
-    share = length / members
-    inside = corners >= 0
-    return np.asarray(np.bincount(corners[inside], weights=share[inside], minlength=count), dtype=np.float64)
-
-
-def _boundary(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return the pixels that have a 4-neighbour of another label, or none."""
-    framed = np.pad(labels, 1, constant_values=-1)
-    centre = framed[1:-1, 1:-1]
-    return np.asarray(
-        (centre != framed[:-2, 1:-1])
-        | (centre != framed[2:, 1:-1])
-        | (centre != framed[1:-1, :-2])
-        | (centre != framed[1:-1, 2:])
-    )
+    first, width = rows * framed.shape[1] + columns, framed.shape[1]
+    flat = framed.ravel()
+    # clockwise, so that the third is opposite the first
+    corners = [flat[first + step] for step in (0, 1, width + 1, width)]
+    total = np.zeros(count)
+    for number, corner in enumerate(corners):
+        beside, opposite = (corners[number - 3], corners[number - 1]), corner == corners[number - 2]
+        members = 1 + (corner == beside[0]).view(np.uint8) + (corner == beside[1]) + opposite
+        share = _SHARES[opposite.view(np.uint8), members]
+        inside = corner >= 0
+        total += np.bincount(corner[inside], weights=share[inside], minlength=count)
+    return total
 
 
 def _boxes(runs: RowRuns, count: int) -> list[tuple[int, int, int, int]]:
@@ -133,6 +158,6 @@ def _boxes(runs: RowRuns, count: int) -> list[tuple[int, int, int, int]]:
 
 def _frame(shape: tuple[int, ...], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
     """Return the pixels at the border of the image or of its valid part."""
-    usable = np.ones(shape, dtype=np.uint8) if valid is None else valid.astype(np.uint8)
+    usable = np.ones(shape, dtype=np.uint8) if valid is None else valid.view(np.uint8)
     inner = cv2.erode(usable, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return np.asarray((usable > 0) & (inner == 0))

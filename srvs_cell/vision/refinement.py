@@ -172,6 +172,7 @@ def align_plane(
     columns: NDArray[np.intp],
     start: DisparityPlane,
     parameters: RefinementParameters,
+    roughness_px: float = 0.0,
 ) -> Alignment | None:
     """Align a plane over some pixels of the left image.
 
@@ -181,9 +182,12 @@ def align_plane(
         columns: of the pixels, shape (N,).
         start: (a, b, c) to begin with, right to about a pixel.
         parameters: number of steps, pixels used, greatest shift.
+        roughness_px: standard deviation of the surface's own disparities from a plane. A sharp edge tells no more of
+            the plane than this, so that paper that curls is levelled over its area and not over its boldest print.
 
     Returns:
-        The alignment, or None where too few pixels lie in both images or the plane moved too far.
+        The alignment, or None where too few pixels lie in both images, the plane moved too far, or explains the pixels
+        no better than it did to begin with.
     """
     stride = max(1, rows.size // parameters.max_pixels)
     rows, columns = rows[::stride], columns[::stride]
@@ -201,7 +205,8 @@ def align_plane(
     )
     expected = np.array([0.0, 0.0, first_level, 1.0, 0.0])
     target = pair.left[rows, columns].astype(np.float64)
-    variance, normal = 0.0, prior
+    variance, normal, scale = 0.0, prior, _NOISE_GREY
+    seen_first, _, inside_first = samples.at(solution[:3] @ design)
     jacobian = np.ones((len(solution), rows.size))
     for _ in range(parameters.iterations):
         seen, slope, inside = samples.at(solution[:3] @ design)
@@ -209,7 +214,9 @@ def align_plane(
             return None
         residual = (target - (solution[3] * seen + solution[4])) * inside
         scale = max(_NOISE_GREY, _MAD_TO_SIGMA * _median(np.abs(residual)))
-        weight = np.maximum(1.0 - (residual / (_TUKEY * scale)) ** 2, 0.0) ** 2 * inside
+        # in units of the noise: what the surface's roughness makes of a slope adds to it
+        spread = 1.0 + (roughness_px / scale * solution[3] * slope) ** 2
+        weight = np.maximum(1.0 - (residual / (_TUKEY * scale)) ** 2 / spread, 0.0) ** 2 / spread * inside
         # d moves the sample against x: the prediction changes by -gain times the slope
         np.multiply(-solution[3] * slope, design, out=jacobian[:3])
         jacobian[3] = seen
@@ -225,6 +232,13 @@ def align_plane(
         return None
     sigma = float(np.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * np.linalg.inv(normal)[2, 2]))
     seen, _, inside = samples.at(solution[:3] @ design)
+    both = inside & inside_first
+    gain, offset = solution[3:]
+    before = min(
+        _robust_cost(target - seen_first, both, scale), _robust_cost(target - (gain * seen_first + offset), both, scale)
+    )
+    if _robust_cost(target - (gain * seen + offset), both, scale) > before:
+        return None
     contrast = float(target[inside].std()) if inside.any() else 0.0
     a, b, level = (float(value) for value in solution[:3])
     return Alignment(
@@ -272,6 +286,12 @@ class _Samples:
             np.asarray(slope + share * (self.right_x[right] - slope), dtype=np.float64),
             inside,
         )
+
+
+def _robust_cost(residual: Array, counted: NDArray[np.bool_], scale: float) -> float:
+    """Return the sum of Tukey's bounded costs, each 0 to 1."""
+    inlying = np.maximum(1.0 - (residual / (_TUKEY * scale)) ** 2, 0.0)
+    return float(counted @ (1.0 - inlying**3))
 
 
 def _median(values: Array) -> float:

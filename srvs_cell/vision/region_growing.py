@@ -5,15 +5,22 @@ large circles first. All cores then grow at once, the far places before the near
 two cores meet at the neck between them: in the gap of an edge, or in the middle of a face that has a waist. Which of
 the two it is, the border tells: regions are joined where most of their common border lies on no edge and their
 brightness is alike. A gap therefore does not let one plane leak into another.
+
+Pixels that the same circles reach form runs along the rows. What is connected, and so belongs to one core, is found
+among the runs; single pixels are looked at only where cores meet.
 """
 
 from __future__ import annotations
 
 import heapq
+import itertools
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+
+from srvs_cell.vision.runs import RowRuns, joined
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,10 +28,12 @@ if TYPE_CHECKING:
     from srvs_cell.vision.parameters import PlaneParameters
 
 _LEVELS_PX = (24.0, 16.0, 11.0, 8.0, 5.0, 3.0, 2.0, 1.0, 0.5)
-"""The circle's radii; the last level gives every closed region a core, however narrow."""
-_MAX_LABEL = 65535
+"""The circle's radii, in half pixels; the last level gives every closed region a core, however narrow."""
+_REACHED_BY = np.sum(np.arange(256) >= 2.0 * np.array(_LEVELS_PX)[:, None], axis=0).astype(np.uint8)
+"""The number of circles that reach a pixel, by its distance to the nearest edge in half pixels."""
+_CUT_OFF = -0.499
+_OPEN = -1
 _MEETING_STEPS = 40
-_NONE = np.zeros(1)
 _EDGE_STEPS = 3
 _NEAR_EDGE = np.ones((3, 3), np.uint8)
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -48,73 +57,155 @@ def grow_regions(
         Labels, int32, shape (H, W), 1 and up; 0 where the image is not valid.
     """
     usable = np.ones(grey.shape, dtype=np.bool_) if valid is None else valid
-    distance = cv2.distanceTransform((usable & ~edges).astype(np.uint8), cv2.DIST_L2, 3)
-    labels = grow_between_edges(np.asarray(distance, dtype=np.float32))
-    labels = _grow(labels, usable, _EDGE_STEPS)
-    return join_regions(grey, labels.astype(np.int32), edges, parameters)
+    distance = cv2.distanceTransform((usable & ~edges).view(np.uint8), cv2.DIST_L2, 3)
+    labels = np.pad(grow_between_edges(np.asarray(distance, dtype=np.float32)), 1)
+    _grow(labels, np.flatnonzero(np.pad(usable, 1) & (labels == 0)), _EDGE_STEPS)
+    return join_regions(grey, np.ascontiguousarray(labels[1:-1, 1:-1]), edges, parameters)
 
 
-def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.uint16]:
+def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.int32]:
     """Return the regions that grow from their cores until they meet each other or an edge.
 
     Args:
         distance_px: distance to the nearest edge, 0 on it, shape (H, W).
 
     Returns:
-        Labels 1 and up, uint16, shape (H, W), 0 on edges. Regions beyond the 65535th are left out.
+        Labels 1 and up, int32, shape (H, W), 0 on edges.
     """
-    labels = np.zeros(distance_px.shape, dtype=np.uint16)
-    # one pixel of every region: growth keeps a region connected, so that it lies in one component of what is in reach
-    seeds = np.zeros(0, dtype=np.intp)
-    for radius_px in _LEVELS_PX:
-        reach = distance_px >= radius_px
-        count, found = cv2.connectedComponents(reach.view(np.uint8), connectivity=4)
-        components = np.asarray(found).ravel()
-        held_by = components[seeds]
-        held = np.bincount(held_by, minlength=count)
-        # a component is a new region, or the rest of the one region that it holds, or is shared by several
-        label = np.zeros(count, dtype=np.uint16)
-        label[held_by] = np.arange(1, seeds.size + 1)
+    runs = _LevelRuns.of(distance_px)
+    label_of_run = _cores(runs)
+    labels = runs.painted(label_of_run)
+    order, counts = _highest_first(np.where(label_of_run == 0, runs.level, 0))
+    shared = order[: counts[-1]]
+    pixels = runs.pixels(shared)
+    bounds = np.concatenate([[0], np.cumsum(runs.length[shared])])[counts]
+    left = np.zeros(0, dtype=np.intp)
+    for first, last in itertools.pairwise(bounds.tolist()):
+        left = _grow(labels, np.concatenate([left, pixels[first:last]]), _MEETING_STEPS)
+    return labels[1:-1, 1:-1]
+
+
+@dataclass(frozen=True, eq=False)
+class _LevelRuns:
+    """Runs of pixels off the edges that the same circles reach, in the flat image with a frame of one pixel.
+
+    Attributes:
+        shape: of the framed image.
+        level: how many of the circles reach each run, shape (runs,).
+        begin: the run's first pixel.
+        length: of the run.
+        one, other: numbers of the runs of each pair of neighbours, shape (pairs,).
+    """
+
+    shape: tuple[int, int]
+    level: NDArray[np.uint8]
+    begin: NDArray[np.intp]
+    length: NDArray[np.intp]
+    one: NDArray[np.intp]
+    other: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, distance_px: NDArray[np.float32]) -> _LevelRuns:
+        """Find the runs and their 4-neighbours."""
+        # rounded half a unit lower: cut off
+        halves = cv2.convertScaleAbs(distance_px, alpha=2.0, beta=_CUT_OFF)
+        framed = np.pad(np.asarray(cv2.LUT(halves, _REACHED_BY), dtype=np.uint8), 1)
+        flat, width = framed.ravel(), framed.shape[1]
+        begin = np.flatnonzero(np.concatenate([[True], flat[1:] != flat[:-1]]))
+        length = np.diff(begin, append=flat.size)
+        level = flat[begin]
+        run = np.flatnonzero(level)
+        # where two runs of neighbouring rows meet, one of them begins
+        of_pixel = np.repeat(np.arange(begin.size, dtype=np.int32), length)
+        one = np.concatenate([run, run, run])
+        other = np.concatenate([run - 1, of_pixel[begin[run] - width], of_pixel[begin[run] + width]])
+        return cls((framed.shape[0], width), level, begin, length, one, other)
+
+    def painted(self, label: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the framed image with each run's label on its pixels."""
+        return np.repeat(label, self.length).reshape(self.shape)
+
+    def pixels(self, runs: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the numbers of the pixels of some runs in the flat framed image."""
+        length = self.length[runs]
+        return np.asarray(np.arange(length.sum()) + np.repeat(self.begin[runs] - np.cumsum(length) + length, length))
+
+
+def _cores(runs: _LevelRuns) -> NDArray[np.int32]:
+    """Return the label of each run that belongs to one region alone, 0 for those that several regions share."""
+    # high levels first: what a circle reaches is at the front of the list, what was reached before too
+    order, reached = _highest_first(runs.level)
+    rank = np.empty(order.size, dtype=np.intp)
+    rank[order] = np.arange(order.size)
+    pairs, paired = _highest_first(np.minimum(runs.level[runs.one], runs.level[runs.other]))
+    one, other = rank[runs.one[pairs]], rank[runs.other[pairs]]
+    label_of_run = np.zeros(order.size, dtype=np.int32)
+    group = np.zeros(order.size, dtype=np.intp)
+    group_of_region = np.zeros(0, dtype=np.intp)
+    groups = 0
+    for before, now, first, last in zip(reached, reached[1:], paired, paired[1:], strict=False):
+        group[before:now] = np.arange(groups, groups + now - before)
+        root = joined(np.arange(groups + now - before), group[one[first:last]], group[other[first:last]])
+        lowest = root == np.arange(root.size)
+        renumbered = (np.cumsum(lowest) - 1)[root]
+        group[:now] = renumbered[group[:now]]
+        group_of_region = renumbered[group_of_region]
+        is_new = np.flatnonzero(lowest) >= groups
+        groups = is_new.size
+        # a group of runs is a new region, or the rest of the one region that it holds, or is shared by several
+        held = np.bincount(group_of_region, minlength=groups)
+        fresh = np.flatnonzero(is_new & (held == 0))
+        group_of_region = np.concatenate([group_of_region, fresh])
+        label = np.zeros(groups, dtype=np.int32)
+        label[group_of_region] = np.arange(1, group_of_region.size + 1)
         label[held > 1] = 0
-        fresh = np.flatnonzero(held == 0)
-        fresh = fresh[fresh > 0][: _MAX_LABEL - seeds.size]
-        label[fresh] = np.arange(seeds.size + 1, seeds.size + 1 + fresh.size)
-        free = np.flatnonzero(reach & (labels == 0))
-        owner = components[free]
-        labels.ravel()[free] = label[owner]
-        some_pixel = np.zeros(count, dtype=np.intp)
-        some_pixel[owner] = free
-        seeds = np.concatenate([seeds, some_pixel[fresh]])
-        labels = _grow(labels, reach, _MEETING_STEPS)
-    return labels
+        label_of_run[order[before:now]] = label[group[before:now]]
+    return label_of_run
 
 
-def _grow(labels: NDArray[np.uint16], reach: NDArray[np.bool_], steps: int) -> NDArray[np.uint16]:
-    """Return the labels after growth by so many pixels into what is in reach and has none.
+def _highest_first(level: NDArray[np.uint8]) -> tuple[NDArray[np.intp], list[int]]:
+    """Return an order of falling level, and how many are of more than each level, from the highest down to 0."""
+    counts = np.bincount(level, minlength=len(_LEVELS_PX) + 1)
+    return np.argsort(len(_LEVELS_PX) - level, kind="stable"), [0, *np.cumsum(counts[:0:-1]).tolist()]
+
+
+def _grow(labels: NDArray[np.int32], pixels: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
+    """Grow the labels by so many pixels into those that have none, in place.
 
     A pixel with neighbours of several labels takes the highest. Only the front is looked at: a pixel can be reached
     only from one that was reached in the step before.
+
+    Args:
+        labels: in a frame of one pixel.
+        pixels: numbers in the flat image of the pixels to grow into, shape (N,).
+        steps: how far.
+
+    Returns:
+        The pixels that were not reached.
     """
-    width = labels.shape[1] + 2
-    grown = np.pad(labels, 1)
-    wanted = np.pad(reach & (labels == 0), 1)
-    part, missing = grown.ravel(), wanted.ravel()
+    label, width = labels.ravel(), labels.shape[1]
     beside = np.array([[-width], [-1], [1], [width]])
-    writer = np.empty(part.size, dtype=np.intp)
-    pixels = np.flatnonzero(missing)
-    front = pixels[part[pixels + beside].any(axis=0)]
+    up, left, right, down = (label[pixels + step] for step in beside)
+    front = pixels[(up | left | right | down) > 0]
+    if not front.size:
+        return pixels
+    label[pixels] = _OPEN
+    writer = np.empty(label.size, dtype=np.int32)
     for _ in range(steps):
-        if not front.size:
-            break
         around = front + beside
-        part[front] = part[around].max(axis=0)
-        missing[front] = False
-        following = around.ravel()
-        following = following[missing[following]]
+        label[front] = 0
+        met = label[around]
+        label[front] = met.max(axis=0)
+        following = around[met == _OPEN]
+        if not following.size:
+            break
         # a pixel beside several of the front is met several times: the one that wrote its number last stays
-        writer[following] = np.arange(following.size)
-        front = following[writer[following] == np.arange(following.size)]
-    return np.ascontiguousarray(grown[1:-1, 1:-1])
+        number = np.arange(following.size, dtype=np.int32)
+        writer[following] = number
+        front = following[writer[following] == number]
+    missed = pixels[label[pixels] == _OPEN]
+    label[missed] = 0
+    return np.asarray(missed)
 
 
 def join_regions(
@@ -132,8 +223,9 @@ def join_regions(
         Labels with joined regions under one of their numbers.
     """
     count = int(labels.max()) + 1
-    area = np.bincount(labels.ravel(), minlength=count).astype(np.float64)
-    total = np.bincount(labels.ravel(), weights=grey.ravel(), minlength=count)
+    runs = RowRuns.of(labels)
+    area = np.bincount(runs.label, weights=runs.length, minlength=count)
+    total = np.bincount(runs.label, weights=runs.sums(grey), minlength=count)
     borders = _borders(labels, edges, count)
     parent = list(range(count))
     neighbours: list[dict[int, tuple[int, int]]] = [{} for _ in range(count)]
@@ -167,7 +259,7 @@ def join_regions(
                 neighbours[keep][third] = neighbours[third][keep] = border
                 offer(keep, third, *border)
         neighbours[gone] = {}
-    return np.array([_root(parent, label) for label in range(count)], dtype=np.int32)[labels]
+    return runs.painted(np.array([_root(parent, label) for label in range(count)], dtype=np.int32), labels.shape)
 
 
 def _root(parent: list[int], label: int) -> int:
@@ -178,16 +270,16 @@ def _root(parent: list[int], label: int) -> int:
 
 def _borders(labels: NDArray[np.int32], edges: NDArray[np.bool_], count: int) -> list[tuple[int, int, int, int]]:
     """Return (region, region, length, length off the edges) of every common border, in pixel sides."""
-    near = cv2.dilate(edges.astype(np.uint8), _NEAR_EDGE) > 0
+    near = np.asarray(cv2.dilate(edges.view(np.uint8), _NEAR_EDGE)).ravel()
+    flat, width = labels.ravel(), labels.shape[1]
     keys, opens = [], []
-    for here, there, near_here, near_there in (
-        (labels[:, :-1], labels[:, 1:], near[:, :-1], near[:, 1:]),
-        (labels[:-1], labels[1:], near[:-1], near[1:]),
-    ):
-        border = (here != there) & (here > 0) & (there > 0)
-        one, other = here[border].astype(np.int64), there[border].astype(np.int64)
-        keys.append(np.minimum(one, other) * count + np.maximum(one, other))
-        opens.append(~(near_here[border] | near_there[border]))
+    for step, differs in ((1, labels[:, 1:] != labels[:, :-1]), (width, labels[1:] != labels[:-1])):
+        row, column = np.divmod(np.flatnonzero(differs), differs.shape[1])
+        here = row * width + column
+        one, other = flat[here].astype(np.int64), flat[here + step].astype(np.int64)
+        border = (one > 0) & (other > 0)
+        keys.append((np.minimum(one, other) * count + np.maximum(one, other))[border])
+        opens.append(((near[here] | near[here + step]) == 0)[border])
     pairs, inverse = np.unique(np.concatenate(keys), return_inverse=True)
     length = np.bincount(inverse, minlength=pairs.size)
     open_length = np.bincount(inverse, weights=np.concatenate(opens), minlength=pairs.size).astype(np.int64)

@@ -21,7 +21,6 @@ _DIRECTION_STEPS = 6
 """An open end's direction is taken from so many pixels of its edge."""
 _FIRST_STEP = 2
 """The first pixel ahead of an end is free by definition; the meeting begins at the second."""
-_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.float32)
 _OFFSETS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1], [-1, -1], [-1, 1], [1, 1], [1, -1]])
 
 
@@ -36,10 +35,12 @@ def track_edges(thinned: NDArray[np.bool_], parameters: TrackingParameters) -> N
 
 def drop_short_chains(thinned: NDArray[np.bool_], min_chain_px: int) -> NDArray[np.bool_]:
     """Return the edges without connected chains of fewer pixels than ``min_chain_px``."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(thinned.astype(np.uint8), connectivity=8)
-    long_enough = np.asarray(stats[:, cv2.CC_STAT_AREA] >= min_chain_px)
-    long_enough[0] = False
-    return np.asarray(long_enough[labels])
+    _, labels = cv2.connectedComponents(thinned.view(np.uint8), connectivity=8)
+    pixels = np.flatnonzero(thinned)
+    chain = np.asarray(labels).ravel()[pixels]
+    kept = thinned.copy()
+    kept.ravel()[pixels] = (np.bincount(chain) >= min_chain_px)[chain]
+    return kept
 
 
 def open_ends(edges: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
@@ -48,31 +49,28 @@ def open_ends(edges: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.fl
     Returns:
         Ends as (row, column), shape (N, 2), and the unit direction in which each would go on, shape (N, 2).
     """
-    image = edges.astype(np.uint8)
-    around = cv2.filter2D(image, cv2.CV_8U, _NEIGHBOURS, borderType=cv2.BORDER_CONSTANT)
-    ends = np.argwhere(edges & (around == 1))
+    # a frame of one pixel makes every neighbour's index valid
     framed = np.pad(edges, 1)
-    here = ends + 1
+    width, edge = framed.shape[1], framed.ravel()
+    beside = (_OFFSETS @ (width, 1))[:, None]
+    pixels = np.flatnonzero(edge)
+    ends = pixels[np.count_nonzero(edge[pixels + beside], axis=0) == 1]
+    number = np.arange(ends.size)
+    here = ends
     visited = [here]
     for _ in range(_DIRECTION_STEPS):
-        following = here
-        found = np.zeros(len(ends), dtype=np.bool_)
-        for offset in _OFFSETS:
-            candidate = here + offset
-            inside = (candidate >= 0).all(axis=1) & (candidate < framed.shape).all(axis=1)
-            candidate = np.where(inside[:, None], candidate, here)
-            free = ~found & framed[candidate[:, 0], candidate[:, 1]]
-            for earlier in visited:
-                free &= (candidate != earlier).any(axis=1)
-            following = np.where(free[:, None], candidate, following)
-            found |= free
-        here = following
+        around = here + beside
+        free = edge[around]
+        for earlier in visited:
+            free &= around != earlier
+        here = np.where(free.any(axis=0), around[np.argmax(free, axis=0), number], here)
         visited.append(here)
-    direction = (ends + 1 - here).astype(np.float64)
+    place, back = (np.column_stack(np.divmod(each, width)) - 1 for each in (ends, here))
+    direction = (place - back).astype(np.float64)
     length = np.linalg.norm(direction, axis=1)
     # a chain of one pixel has no direction
     directed = length > 0.0
-    return ends[directed], direction[directed] / length[directed, None]
+    return place[directed], direction[directed] / length[directed, None]
 
 
 def prolong(
@@ -88,7 +86,7 @@ def prolong(
     outside = (path < 0).any(axis=2) | (path[..., 0] >= height) | (path[..., 1] >= width)
     rows, columns = np.clip(path[..., 0], 0, height - 1), np.clip(path[..., 1], 0, width - 1)
     # a diagonal step may pass between two pixels of an edge, so that an edge beside the path is met too
-    thick = cv2.dilate(edges.astype(np.uint8), np.ones((2, 2), np.uint8)) > 0
+    thick = cv2.dilate(edges.view(np.uint8), np.ones((2, 2), np.uint8)) > 0
     met = thick[rows, columns] | outside
     met[:, : _FIRST_STEP - 1] = False
     meets = met.any(axis=1)

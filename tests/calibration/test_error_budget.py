@@ -67,6 +67,16 @@ def test_causes_add_up_and_random_ones_are_not_systematic() -> None:
     assert model.systematic_mm2(POINT) == pytest.approx(total - random)
 
 
+def test_points_together_have_the_covariances_of_each_alone() -> None:
+    model = budget(Uncertainty())
+    points = CAMERA.apply([[30.0, -20.0, 420.0], [-60.0, 10.0, 510.0]])
+    together = model.covariance_mm2(points, sigma_x_px=0.2, sigma_d_px=[0.1, 0.3])
+    alone = [
+        model.covariance_mm2(point, sigma_x_px=0.2, sigma_d_px=s) for point, s in zip(points, (0.1, 0.3), strict=True)
+    ]
+    assert together == pytest.approx(np.array(alone))
+
+
 def vars_of(uncertainty: Uncertainty) -> dict[str, float]:
     names = ("focal_relative", "principal_point_px", "hand_eye_mm", "hand_eye_deg", "pose_mm", "pose_deg")
     return {name: float(getattr(uncertainty, name)) for name in names}

@@ -89,7 +89,7 @@ def test_operators_commands_are_the_packml_commands() -> None:
 def test_status_imports_nothing_heavy() -> None:
     program = (
         "import sys; from srvs_cell.cli.main import run; code = run(['status', '--socket', '/nonexistent/api.sock']);"
-        "heavy = {'numpy', 'cv2', 'scipy', 'fastapi', 'yaml', 'rich', 'mujoco', 'pydantic', 'srvs_cell.cell'};"
+        "heavy = {'numpy', 'cv2', 'scipy', 'fastapi', 'yaml', 'rich', 'mujoco', 'pydantic', 'ssl', 'srvs_cell.cell'};"
         "print(code, sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

@@ -19,9 +19,10 @@ def step_image(angle_deg: float, size: int = 64, contrast: float = 80.0) -> NDAr
 def test_the_gradient_of_a_ramp_is_its_slope_in_grey_values_per_pixel() -> None:
     y, x = np.indices((8, 9))
     gradient = gradient_2x2(np.asarray(3.0 * x - 2.0 * y, dtype=np.float32))
-    assert np.allclose(gradient[:-1, :-1], (3.0, -2.0))
-    assert not gradient[-1].any()
-    assert not gradient[:, -1].any()
+    for slope, expected in zip(gradient, (3.0, -2.0), strict=True):
+        assert np.allclose(slope[:-1, :-1], expected)
+        assert not slope[-1].any()
+        assert not slope[:, -1].any()
 
 
 def test_an_edge_of_any_direction_is_found_whole_also_on_the_border_of_a_partition() -> None:

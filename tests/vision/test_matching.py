@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from srvs_cell.scene import Plane
-from srvs_cell.vision.matching import PlanePair, match_planes
+from srvs_cell.vision.matching import Matching, PlanePair, find_matches, match_planes
 from srvs_cell.vision.parameters import MatchingParameters, Maxima
 
-PAPER = MatchingParameters(max_row_distance_px=2.0, max_column_margin_px=0.0)
+PAPER = MatchingParameters(max_row_distance_px=2.0, max_column_margin_px=0.0, ordered=False)
 RANGE = (10.0, 40.0)
 
 
@@ -91,3 +91,34 @@ def test_black_planes_have_a_ratio_of_one_and_no_planes_no_match() -> None:
     assert pair.score == 1.0
     assert match_planes([], [plane(1)], RANGE, PAPER) == ()
     assert match_planes([plane(1)], [], RANGE, PAPER) == ()
+
+
+def row_of_squares(count: int, shift: float, first: int = 1) -> list[Plane]:
+    return [plane(first + k, x=60.0 + 30.0 * k - shift) for k in range(count)]
+
+
+def test_a_lone_square_with_two_equal_partners_is_ambiguous() -> None:
+    left, right = [plane(1)], [plane(1, x=85.0), plane(2, x=65.0)]
+    ordered = replace(PAPER, maxima=Maxima.ADMISSIBLE, ordered=True)
+    assert find_matches(left, right, RANGE, ordered) == Matching((), (1,))
+    assert find_matches(left, right, RANGE, replace(ordered, ordered=False)).pairs
+
+
+def test_neighbours_tell_which_of_equal_partners_is_right() -> None:
+    known = [plane(2, x=160.0, brightness=200.0), plane(3, x=180.0, brightness=150.0)]
+    seen = [plane(2, x=145.0, brightness=200.0), plane(3, x=165.0, brightness=150.0)]
+    ordered = replace(PAPER, maxima=Maxima.ADMISSIBLE, ordered=True)
+    found = find_matches([plane(1), *known], [plane(1, x=85.0), *seen, plane(4, x=61.0)], RANGE, ordered)
+    assert (1, 1) in [(pair.left, pair.right) for pair in found.pairs]
+
+
+def test_a_match_that_crosses_better_ones_is_given_up() -> None:
+    left, right = row_of_squares(6, 0.0), row_of_squares(6, 15.0)
+    left = [replace(each, brightness=60.0 + 30.0 * k) for k, each in enumerate(left)]
+    right = [replace(each, brightness=60.0 + 30.0 * k) for k, each in enumerate(right)]
+    # the partner of the last one is missing, and a plane far to the left has just its brightness
+    stray = replace(right[-1], centre_px=(left[-1].centre_px[0] - 115.0, 50.0))
+    ordered = replace(PAPER, maxima=Maxima.ADMISSIBLE, ordered=True)
+    found = find_matches(left, [*right[:-1], stray], (10.0, 120.0), ordered)
+    assert [pair.left for pair in found.pairs] == [1, 2, 3, 4, 5]
+    assert found.ambiguous == (6,)

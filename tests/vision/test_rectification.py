@@ -5,7 +5,7 @@ import pytest
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import Calibration, CameraIntrinsics, HandEye, plan_right_pose
 from srvs_cell.geometry import Transform, Xyzwpr
-from srvs_cell.vision.rectification import rectification_maps, rectify_pair, remap_pair
+from srvs_cell.vision.rectification import doubled, rectification_maps, rectify_pair, remap_pair
 
 CALIBRATION = Calibration(
     camera=CameraIntrinsics(
@@ -35,7 +35,8 @@ def test_a_point_is_read_from_where_opencvs_model_puts_it(right: Transform) -> N
     maps = rectification_maps(CALIBRATION, LEFT, right)
     points = grid_mm()
     x, y, disparity = maps.rig.project_px(points)
-    for pose, columns, (map_x, map_y) in ((LEFT, x, maps.left), (right, x - disparity, maps.right)):
+    for pose, columns, fixed_map in ((LEFT, x, maps.left), (right, x - disparity, maps.right)):
+        map_x, map_y = (np.asarray(part / 2.0, dtype=np.float32) for part in cv2.convertMaps(*fixed_map, cv2.CV_32FC1))
         seen = (pose @ CALIBRATION.tcp_T_camera).inverse()
         true, _ = cv2.projectPoints(
             seen.apply(points), np.zeros(3), np.zeros(3), CALIBRATION.camera_matrix, CALIBRATION.distortion
@@ -100,3 +101,27 @@ def test_exchanged_images_are_no_baseline() -> None:
     with pytest.raises(AlarmError, match="left and right are exchanged") as caught:
         rectification_maps(CALIBRATION, STRAIGHT, LEFT)
     assert caught.value.alarm is Alarm.BASELINE_INVALID
+
+
+def test_what_lies_between_two_pixels_is_placed_to_a_hundredth_of_a_pixel() -> None:
+    x = np.arange(120.0)
+    for shift_px in (0.0, 0.13, 0.5, 0.71):
+        grey = np.tile(np.rint(128.0 + 100.0 * np.tanh((x - 60.0 - shift_px) / 1.5)), (40, 1)).astype(np.uint8)
+        twice = doubled(grey)
+        assert np.array_equal(twice[::2, ::2], grey)
+        row = twice[20].astype(np.float64)
+        crossing = int(np.flatnonzero(row > 128.0)[0])
+        before, after = row[crossing - 1], row[crossing]
+        found = (crossing - 1 + (128.0 - before) / (after - before)) / 2.0
+        assert found == pytest.approx(60.0 + shift_px, abs=0.015)
+
+
+def test_a_second_pair_from_the_same_place_is_rectified_alike_and_another_place_is_not_mistaken_for_it() -> None:
+    rng = np.random.default_rng(2)
+    noise = rng.integers(0, 255, (480, 640), dtype=np.uint8)
+    grey = np.asarray(cv2.GaussianBlur(noise, (0, 0), 2.0), dtype=np.uint8)
+    first = rectify_pair(grey, grey, CALIBRATION, LEFT, STRAIGHT)
+    other = rectify_pair(grey, grey, CALIBRATION, LEFT, RIGHTS["turned"])
+    again = rectify_pair(grey, grey, CALIBRATION, LEFT, STRAIGHT)
+    assert np.array_equal(first.right, again.right)
+    assert not np.array_equal(first.right, other.right)
