@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.outlines import Outlines
+from srvs_cell.vision.outlines import Outlines, in_front, outward_normals
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -165,7 +165,7 @@ def fit_faces(
     if not starts:
         return fits
     outlines = Outlines.of(starts, inclined, effort.samples)
-    alive = np.flatnonzero(_in_front(outlines, rig))
+    alive = np.flatnonzero(in_front(outlines, rig))
     if alive.size == 0:
         return fits
     outlines = outlines.only(alive)
@@ -173,7 +173,7 @@ def fit_faces(
     for half_width_px, scale_px in effort.schedule:
         now = _linearise(outlines, textures, fields, rig, (half_width_px, scale_px, effort.step_px), min_gradient)
         outlines = outlines.moved(now.steps)
-        hopeful = np.flatnonzero((now.found.mean(axis=(1, 2)) >= _HOPELESS_SHARE) & _in_front(outlines, rig))
+        hopeful = np.flatnonzero((now.found.mean(axis=(1, 2)) >= _HOPELESS_SHARE) & in_front(outlines, rig))
         if hopeful.size == 0:
             return fits
         if hopeful.size < alive.size:
@@ -182,12 +182,6 @@ def fit_faces(
     for number, fit in zip(alive, _judged(outlines, last, rig), strict=True):
         fits[number] = fit
     return fits
-
-
-def _in_front(outlines: Outlines, rig: RectifiedRig) -> NDArray[np.bool_]:
-    """Whether all of each outline is in front of the cameras and finite."""
-    depth = rig.camera_T_base.apply(outlines.points_mm())[..., 2]
-    return np.asarray(np.isfinite(depth).all(axis=1) & (depth.min(axis=1) > 1.0), dtype=np.bool_)
 
 
 def _judged(outlines: Outlines, last: _Linearised, rig: RectifiedRig) -> list[FaceFit]:
@@ -229,7 +223,7 @@ def _linearise(
         scale = rig.f_px / seen[..., 2:]
         pixels = seen[..., :2] * scale + (rig.cx_px, rig.cy_px)
         flow = along[..., :2] - seen[..., :2] / seen[..., 2:] * along[..., 2:]
-        normals = _outward(flow, pixels)
+        normals = outward_normals(flow, pixels)
         clear = _TEXTURE_FACTOR * texture
         distance, there = _edges(field, outlines, (pixels, normals), (half_width_px, step_px), (min_gradient, clear))
         # how the pixel moves along the normal when the point moves, as a linear function in the base frame
@@ -296,14 +290,6 @@ def _averaged(profiles: NDArray[np.float32], outlines: Outlines) -> NDArray[np.f
     before[outlines.first] = profiles[outlines.first]
     after[outlines.last] = profiles[outlines.last]
     return np.asarray((before + profiles + profiles + after) * np.float32(0.25), dtype=np.float32)
-
-
-def _outward(along: Array, pixels: Array) -> Array:
-    """Return the unit normals of outlines that point away from their middles, shape (B, N, 2)."""
-    normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
-    inward = ((pixels - pixels.mean(axis=1, keepdims=True)) * normals).sum(axis=-1, keepdims=True) < 0.0
-    return np.where(inward, -normals, normals)
 
 
 def _textures(outlines: Outlines, fields: tuple[EdgeField, EdgeField], rig: RectifiedRig) -> Array:

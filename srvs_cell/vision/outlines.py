@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
+    from srvs_cell.vision.rectification import RectifiedRig
 
 _CORNER_SHARE = 0.1
 """Share of a side left out at either end: there the neighbouring side's edge is met."""
@@ -148,6 +149,25 @@ class Outlines:
         cos, sin = np.cos(self.values[:, _ANGLE, None]), np.sin(self.values[:, _ANGLE, None])
         u, v = unit[..., 0] * length / 2.0, unit[..., 1] * across / 2.0
         return np.stack([cos * u - sin * v, sin * u + cos * v, self.values[:, _SLOPE, None] * u], axis=-1)
+
+
+def in_front(outlines: Outlines, rig: RectifiedRig) -> NDArray[np.bool_]:
+    """Whether all of each outline is in front of the cameras and finite, shape (B,)."""
+    depth = rig.camera_T_base.apply(outlines.points_mm())[..., 2]
+    return np.asarray(np.isfinite(depth).all(axis=1) & (depth.min(axis=1) > 1.0), dtype=np.bool_)
+
+
+def outward_normals(along: Array, pixels: Array) -> Array:
+    """Return the unit normals of outlines that point away from their middles.
+
+    Args:
+        along: direction of the outlines in the image, shape (B, N, 2).
+        pixels: their samples, the same shape.
+    """
+    normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
+    inward = ((pixels - pixels.mean(axis=1, keepdims=True)) * normals).sum(axis=-1, keepdims=True) < 0.0
+    return np.where(inward, -normals, normals)
 
 
 @lru_cache(maxsize=256)

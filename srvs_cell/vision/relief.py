@@ -90,13 +90,14 @@ def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableRefer
     seen_left, seen_right = (
         cv2.erode(seen.astype(np.uint8), kernel, borderValue=0) for seen in (pair.left_valid, pair.right_valid)
     )
-    valid = (seen_left & cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)).astype(np.bool_)
-    difference = np.where(valid, left - laid, np.float32(0.0))
+    laid_right = cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)
+    valid = np.asarray((seen_left > 0) & (laid_right > 0), dtype=np.bool_)
+    difference = np.asarray(np.where(valid, left - laid, 0.0), dtype=np.float32)
     spread = 1.4826 * float(np.median(np.abs(difference[valid]))) if valid.any() else 1.0
-    calm = (valid & (np.abs(difference) <= _CALM * spread)).astype(np.float32)
+    calm = np.asarray(valid & (np.abs(difference) <= _CALM * spread), dtype=np.float32)
     window = (_BACKGROUND_PX, _BACKGROUND_PX)
     background = cv2.blur(difference * calm, window) / np.maximum(cv2.blur(calm, window), np.float32(_LEAST_CALM))
-    difference = np.where(valid, difference - background, np.float32(0.0))
+    difference = np.asarray(np.where(valid, difference - background, 0.0), dtype=np.float32)
     noise = max(1.4826 * float(np.median(np.abs(difference[valid]))), 0.05) if valid.any() else 1.0
     slope = [cv2.Sobel(left, cv2.CV_32F, *order, ksize=3) / _SOBEL for order in ((1, 0), (0, 1))]
     near = (_WINDOW_PX, _WINDOW_PX)
@@ -131,8 +132,9 @@ def rising_outlines(relief: Relief, explained: Iterable[Array], min_area_px: int
     mask = relief.rises.astype(np.uint8)
     for polygon in explained:
         cv2.fillPoly(mask, [np.rint(polygon).astype(np.int32)], 0)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_JOIN_PX, _JOIN_PX), np.uint8))
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    joined = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_JOIN_PX, _JOIN_PX), np.uint8))
+    count, found, sizes, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
+    labels, boxes = np.asarray(found, dtype=np.int32), np.asarray(sizes, dtype=np.int32)
     pieces = [
         _Piece.of(labels, number, boxes[number])
         for number in range(1, count)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage
     from srvs_cell.vision.face_fit import FaceFit
-    from srvs_cell.vision.profile_fit import Pictures
+    from srvs_cell.vision.profiles import Pictures
     from srvs_cell.vision.rectification import RectifiedRig
 
 _HEIGHTS = 8
@@ -92,9 +92,12 @@ def _fits_of(
     seed: list[tuple[float, Array]], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
 ) -> list[FaceFit]:
     """Return the fits that one seed leads to: scouted at each height, then as each figure at the best heights."""
-    scouted = _fitted([_rectangle(border, z_mm) for z_mm, border in seed], pictures, rig, table_z_mm, SCOUT)
-    order = np.argsort([fit.rms_px for fit in scouted])[:_KEPT_HEIGHTS]
-    starts = [face for number in order for face in _figures(seed[number][1], seed[number][0])]
+    scouted = fit_profiles(
+        [_rectangle(border, z_mm) for z_mm, border in seed], [False] * len(seed), pictures, rig, table_z_mm, SCOUT
+    )
+    misfits = [np.inf if fit is None else fit.rms_px for fit in scouted]
+    best = [seed[number] for number in np.argsort(misfits)[:_KEPT_HEIGHTS]]
+    starts = [face for z_mm, border in best for face in _figures(border, z_mm)]
     second = sorted(_fitted(starts, pictures, rig, table_z_mm, SCOUT), key=lambda fit: fit.rms_px)
     return _fitted([fit.face for fit in _promising(second)], pictures, rig, table_z_mm, REACH)
 
@@ -111,7 +114,7 @@ def _planes_inside(left: PlaneImage, outline: Array) -> list[Array]:
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         hull = cv2.convexHull(np.concatenate(contours)).reshape(-1, 2)
         if cv2.contourArea(hull) <= _MOST_OF_OUTLINE * cv2.contourArea(polygon):
-            hulls.append(hull.astype(np.float64) + (x, y))
+            hulls.append(hull + np.array([x, y], dtype=np.float64))
     return hulls
 
 
@@ -126,9 +129,9 @@ def grey_pieces(image: NDArray[np.float32], outline: Array) -> list[Array]:
     window = cv2.GaussianBlur(image[low[1] : high[1], low[0] : high[0]], (0, 0), _SMOOTHING_PX)
     inside = np.zeros(window.shape, dtype=np.uint8)
     cv2.fillConvexPoly(inside, np.rint(outline - low).astype(np.int32), 1)
-    inside = cv2.dilate(inside, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8))
+    grown = cv2.dilate(inside, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)) > 0
     levels = np.log(window + _BLACK)
-    values = levels[inside > 0]
+    values = levels[grown]
     if values.size < _MIN_PIECE_PX:
         return []
     counts, borders = np.histogram(values, bins=_BINS)
@@ -141,7 +144,7 @@ def grey_pieces(image: NDArray[np.float32], outline: Array) -> list[Array]:
     modes = np.digitize(levels, valleys)
     pieces = []
     for mode in range(len(valleys) + 1):
-        mask = ((modes == mode) & (inside > 0)).astype(np.uint8)
+        mask = ((modes == mode) & grown).astype(np.uint8)
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         for contour in contours:
@@ -175,7 +178,9 @@ def _promising(scouted: list[FaceFit]) -> list[FaceFit]:
 def _fitted(
     starts: Sequence[Face], pictures: Pictures, rig: RectifiedRig, table_z_mm: float, effort: Sequence[float]
 ) -> list[FaceFit]:
-    return fit_profiles(starts, [start.slope_u != 0.0 for start in starts], pictures, rig, table_z_mm, effort)
+    inclined = [start.slope_u != 0.0 for start in starts]
+    fits = fit_profiles(starts, inclined, pictures, rig, table_z_mm, effort)
+    return [fit for fit in fits if fit is not None]
 
 
 def _without_parallax(outline: Array, rig: RectifiedRig, z_mm: float, table_z_mm: float) -> Array | None:
@@ -191,7 +196,7 @@ def _without_parallax(outline: Array, rig: RectifiedRig, z_mm: float, table_z_mm
     parallax = float(np.subtract(rig.plane_disparity(_UP, z_mm), rig.plane_disparity(_UP, table_z_mm)) @ centre)
     moved = outline.astype(np.float32) + np.array([parallax, 0.0], dtype=np.float32)
     area, shared = cv2.intersectConvexConvex(outline.astype(np.float32), moved)
-    if shared is None or len(shared) < _CORNERS or area <= 0.0:
+    if area <= 0.0 or len(shared) < _CORNERS:
         return None
     return _laid(shared.reshape(-1, 2).astype(np.float64), rig, z_mm)
 

@@ -9,7 +9,7 @@ the table show another displacement or do not fit at all, and are left out.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import cv2
 import numpy as np
@@ -170,7 +170,7 @@ class _Grid:
     @classmethod
     def of(cls, pair: RectifiedPair, table_z_mm: float) -> _Grid:
         """Halve the images and measure the left one's gradients."""
-        left, right = (cv2.pyrDown(image.astype(np.float32)) for image in (pair.left, pair.right))
+        left, right = (_as_float(cv2.pyrDown(image.astype(np.float32))) for image in (pair.left, pair.right))
         rows, columns = left.shape[0] // _BLOCK, left.shape[1] // _BLOCK
         height, width = rows * _BLOCK, columns * _BLOCK
         a, b, c = pair.rig.plane_disparity(_UP, table_z_mm)
@@ -182,9 +182,12 @@ class _Grid:
             for valid in (pair.left_valid, pair.right_valid)
         )
         map_x, map_y = (x - disparity) / _SCALE, y / _SCALE
-        both = seen_left[:height, :width] & cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)
-        slope_x = cv2.Sobel(left, cv2.CV_32F, 1, 0, ksize=3)[:height, :width] / _SOBEL
-        slope_y = cv2.Sobel(left, cv2.CV_32F, 0, 1, ksize=3)[:height, :width] / _SOBEL
+        laid_right = cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)
+        both = _as_float((seen_left[:height, :width] > 0) & (laid_right > 0))
+        slope_x, slope_y = (
+            _as_float(cv2.Sobel(left, cv2.CV_32F, *order, ksize=3)[:height, :width] / _SOBEL)
+            for order in ((1, 0), (0, 1))
+        )
         shape = (rows, columns)
         sums = [_blocks(product, shape) for product in (slope_x * slope_x, slope_x * slope_y, slope_y * slope_y)]
         means = [_blocks(slope, shape) / _BLOCK**2 for slope in (slope_x, slope_y)]
@@ -193,9 +196,22 @@ class _Grid:
         # a displacement along u moves the right picture to the left, one along v moves it down
         structure[:, 0, 1] = structure[:, 1, 0] = -(sums[1] - _BLOCK**2 * means[0] * means[1])
         structure[:, 1, 1] = sums[2] - _BLOCK**2 * means[1] ** 2
-        centres = [_blocks(values, shape) / _BLOCK**2 for values in (x, y, disparity)]
+        x_px, y_px, disparity_px = (_blocks(_as_float(values), shape) / _BLOCK**2 for values in (x, y, disparity))
         whole = _blocks(both, shape) == _BLOCK**2
-        return cls(left[:height, :width], right, map_x, map_y, slope_x, slope_y, whole, *centres, structure, shape)
+        return cls(
+            left[:height, :width],
+            right,
+            _as_float(map_x),
+            _as_float(map_y),
+            slope_x,
+            slope_y,
+            whole,
+            x_px,
+            y_px,
+            disparity_px,
+            structure,
+            shape,
+        )
 
     @property
     def count(self) -> int:
@@ -206,7 +222,7 @@ class _Grid:
         """Compare the images, the right one displaced by a field given at the blocks."""
         u, v = (self._spread(field) for field in (u_px, v_px))
         warped = cv2.remap(self.right, self.map_x - u / _SCALE, self.map_y + v / _SCALE, cv2.INTER_CUBIC)
-        residual = self.left - warped
+        residual = _as_float(self.left - warped)
         size = _BLOCK**2
         mean = _blocks(residual, self.shape) / size
         energy = _blocks(residual * residual, self.shape) / size - mean**2
@@ -240,8 +256,12 @@ class _Grid:
         return np.asarray(cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def _blocks(values: NDArray[np.float32] | NDArray[np.uint8], shape: tuple[int, int]) -> Array:
+def _as_float(values: NDArray[Any]) -> NDArray[np.float32]:
+    return np.asarray(values, dtype=np.float32)
+
+
+def _blocks(values: NDArray[np.float32], shape: tuple[int, int]) -> Array:
     """Return the sums over the blocks, shape (B,)."""
     rows, columns = shape
-    means = cv2.resize(values.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    means = cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA)
     return means.astype(np.float64).ravel() * _BLOCK**2

@@ -1,0 +1,194 @@
+"""Step 11d: the top faces of a scene, and what belongs to each.
+
+Several claims may be made for one place; the surest stands. What lies in the column under a top face (its side faces)
+or in it (print) belongs to its part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from srvs_cell.vision.recovery import NO_PLANE
+from srvs_cell.vision.top_faces import SURE_RMS_PX, fit_tops, height_above_mm, tilt_deg
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from srvs_cell.geometry import Array
+    from srvs_cell.scene import Surface
+    from srvs_cell.vision.face_fit import EdgeField, FaceFit
+    from srvs_cell.vision.recognition import RecognitionParameters
+    from srvs_cell.vision.rectification import RectifiedRig
+
+CERTAIN_RMS_PX = 0.15
+"""A figure that fits like this leaves nothing for another one to explain."""
+_SHARED_PLACE = 0.4
+"""Share of the smaller footprint that measuring errors never let two neighbours share."""
+_SIDE_FACE_MARGIN_MM = 4.0
+_SILHOUETTE_MARGIN_PX = 4.0
+_COLUMN_SHARE = 0.5
+_STEEP_TILT_DEG = 30.0
+_STEEP_SHARE = 0.15
+"""A steep surface that only touches a part is its side face with shadow."""
+_TOP_MARGIN_MM = 5.0
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Top:
+    """A top face and the surfaces that belong to its object.
+
+    Attributes:
+        fit: the face.
+        surfaces: ids of the surfaces.
+    """
+
+    fit: FaceFit
+    surfaces: tuple[int, ...]
+
+    def joined(self, surface: Surface) -> Top:
+        """Return the top with one more surface; a region that is no plane has no number to join."""
+        return self if surface.id == NO_PLANE else replace(self, surfaces=(*self.surfaces, surface.id))
+
+
+def add_tops(
+    surfaces: Sequence[Surface],
+    tops: list[Top],
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    table_z_mm: float,
+    limits: RecognitionParameters,
+) -> list[Surface]:
+    """Add the top faces among surfaces to those known, the surest and largest first; returns the other surfaces."""
+    fitted = list(zip(surfaces, fit_tops(surfaces, fields, rig, table_z_mm, limits), strict=True))
+    found = [(surface, fit) for surface, fit in fitted if fit is not None]
+    found.sort(key=lambda one: _rank(one[1]))
+    for surface, fit in found:
+        owner = _column(fit.face.corners_mm(), min(surface.centre_mm[2], fit.face.z_mm), tops)
+        if owner is None or _rank(tops[owner].fit)[0] > _rank(fit)[0]:
+            tops.append(Top(fit, ()).joined(surface))
+        else:
+            tops[owner] = tops[owner].joined(surface)
+    return [surface for surface, fit in fitted if fit is None]
+
+
+def one_per_place(tops: list[Top]) -> list[Top]:
+    """Return the tops without those that stand where a surer one stands; its surfaces go to the surer one.
+
+    Parts stand on the table beside each other, so that two top faces over one place cannot both be right.
+    """
+    kept: list[Top] = []
+    for top in sorted(tops, key=lambda one: _rank(one.fit)):
+        for number, other in enumerate(kept):
+            if share_place(top.fit, other.fit):
+                kept[number] = replace(other, surfaces=(*other.surfaces, *top.surfaces))
+                break
+        else:
+            kept.append(top)
+    return kept
+
+
+def _rank(fit: FaceFit) -> tuple[int, float]:
+    """Return the sort key that puts the surest first, among equals the largest: a face before the print on it."""
+    sureness = (fit.rms_px > CERTAIN_RMS_PX) + (fit.rms_px > SURE_RMS_PX)
+    return sureness, -fit.face.length_mm * fit.face.width_mm
+
+
+def share_place(fit: FaceFit, other: FaceFit) -> bool:
+    """Whether two faces stand over one place, so that they cannot both be right."""
+    outline, standing = (one.face.corners_mm()[:, :2].astype(np.float32) for one in (fit, other))
+    shared_mm2, _ = cv2.intersectConvexConvex(outline, standing)
+    return bool(shared_mm2 > _SHARED_PLACE * min(cv2.contourArea(outline), cv2.contourArea(standing)))
+
+
+def owner_of(surface: Surface, tops: list[Top], rig: RectifiedRig, table_z_mm: float) -> int | None:
+    """Return the number of the top whose part a surface belongs to; None where it is of no known part."""
+    owner = _column(np.array([surface.centre_mm]), surface.centre_mm[2], tops)
+    return _silhouette(surface, tops, rig, table_z_mm) if owner is None else owner
+
+
+def _column(outline_mm: Array, z_mm: float, tops: list[Top]) -> int | None:
+    """Return the top face whose column, widened a little, holds most of an outline that is not above it."""
+    for number, top in enumerate(tops):
+        face = top.fit.face
+        if z_mm > height_above_mm(face, 0.0) + _TOP_MARGIN_MM:
+            continue
+        polygon = face.corners_mm()[:, :2].astype(np.float32)
+        inside = [
+            cv2.pointPolygonTest(polygon, (float(x), float(y)), measureDist=True) > -_SIDE_FACE_MARGIN_MM
+            for x, y, *_ in outline_mm
+        ]
+        if np.mean(inside) > _COLUMN_SHARE:
+            return number
+    return None
+
+
+def _silhouette(surface: Surface, tops: list[Top], rig: RectifiedRig, table_z_mm: float) -> int | None:
+    """Return the top whose part, standing on the table, covers most of a surface's outline in either image.
+
+    What lies in the picture of a part and is not its top is its side face, whatever place a false match gave it.
+    """
+    outline = _pictures(surface.outline_mm, rig)
+    needed = _STEEP_SHARE if tilt_deg(surface) > _STEEP_TILT_DEG else _COLUMN_SHARE
+    for number, top in enumerate(tops):
+        corners = top.fit.face.corners_mm()
+        feet = _feet(corners, table_z_mm)
+        shares = []
+        for seen, part in zip(outline, _pictures(np.concatenate([corners, feet]), rig), strict=True):
+            hull = cv2.convexHull(part)
+            inside = [
+                cv2.pointPolygonTest(hull, (float(x), float(y)), measureDist=True) > -_SILHOUETTE_MARGIN_PX
+                for x, y in seen
+            ]
+            shares.append(float(np.mean(inside)))
+        if max(shares) > needed:
+            return number
+    return None
+
+
+def _pictures(points_mm: Array, rig: RectifiedRig) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return points' pixels in the left and in the right image, each float32, shape (N, 2)."""
+    x, y, disparity = rig.project_px(points_mm)
+    return np.column_stack([x, y]).astype(np.float32), np.column_stack([x - disparity, y]).astype(np.float32)
+
+
+def explained_polygons(tops: list[Top], rig: RectifiedRig, table_z_mm: float) -> list[Array]:
+    """Return what known parts and their pictures in the right image, laid over by the table, cover in the left one."""
+    table = np.array(rig.plane_disparity(_UP, table_z_mm))
+    polygons = []
+    for top in tops:
+        corners = top.fit.face.corners_mm()
+        x, y, disparity = rig.project_px(np.concatenate([corners, _feet(corners, table_z_mm)]))
+        laid = x - (disparity - np.column_stack([x, y, np.ones_like(x)]) @ table)
+        both = np.concatenate([np.column_stack([x, y]), np.column_stack([laid, y])])
+        hull = cv2.convexHull(both.astype(np.float32)).reshape(-1, 2).astype(np.float64)
+        rays = hull - hull.mean(axis=0)
+        polygons.append(hull + _SILHOUETTE_MARGIN_PX * rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    return polygons
+
+
+def _feet(corners_mm: Array, table_z_mm: float) -> Array:
+    """Return the points of the table under corners."""
+    feet: Array = corners_mm * (1.0, 1.0, 0.0) + (0.0, 0.0, table_z_mm)
+    return feet
+
+
+def explainer(tops: list[Top], rig: RectifiedRig) -> Callable[[tuple[float, float]], bool]:
+    """Return whether a pixel of the left image lies on a surely known top face, as a function of it."""
+    polygons = []
+    for top in tops:
+        if top.fit.rms_px > SURE_RMS_PX:
+            continue
+        x, y, _ = rig.project_px(top.fit.face.corners_mm())
+        polygons.append(np.column_stack([x, y]).astype(np.float32))
+
+    def known(pixel: tuple[float, float]) -> bool:
+        return any(cv2.pointPolygonTest(polygon, pixel, measureDist=False) > 0 for polygon in polygons)
+
+    return known

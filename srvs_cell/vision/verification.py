@@ -1,0 +1,131 @@
+"""Step 11f, beyond the paper: which top faces really stand there, and what stands there besides.
+
+Edges alone take a shadow for a face, miss a face of nearly the table's grey, and are misled by a sliver of side face.
+The relief over the table knows what rises; the grey values across the borders know where exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from srvs_cell.vision.face_fit import SETTLE, fit_faces
+from srvs_cell.vision.profile_fit import fit_profiles, measure_blur
+from srvs_cell.vision.profiles import Pictures
+from srvs_cell.vision.relief import risen, rising_outlines
+from srvs_cell.vision.rising_faces import fit_rising
+from srvs_cell.vision.top_faces import is_top
+from srvs_cell.vision.tops import CERTAIN_RMS_PX, Top, explained_polygons, one_per_place, share_place
+
+if TYPE_CHECKING:
+    from srvs_cell.geometry import Array
+    from srvs_cell.scene import PlaneImage
+    from srvs_cell.vision.face_fit import EdgeField, FaceFit
+    from srvs_cell.vision.faces import Face
+    from srvs_cell.vision.recognition import RecognitionParameters
+    from srvs_cell.vision.rectification import RectifiedRig
+    from srvs_cell.vision.relief import Relief
+
+_GOOD_RMS_PX = 0.3
+"""A fit to the grey values that is as good as this counts, however good that to the edges is."""
+_TRUSTED_RMS_PX = 0.5
+"""A figure that fits worse does not explain what rises at its place."""
+_SEAM_PX = 1.5
+"""Where a face stands over the table, its outline leaves at least a seam of this width in the relief."""
+_UNSEEN_PX = 500
+"""So many pixels of relief that no face explains are a part that was not recognised."""
+_ROUNDS = 2
+
+
+def verify_tops(
+    tops: list[Top],
+    relief: Relief,
+    images: tuple[PlaneImage, PlaneImage],
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    table_z_mm: float,
+    limits: RecognitionParameters,
+) -> tuple[list[Top], list[Array]]:
+    """Fit tops to the grey values, add those that only their parallax tells, and drop what does not rise.
+
+    Args:
+        tops: what the edges told.
+        relief: what rises over the table.
+        images: the rectified images with their planes.
+        fields: their gradients.
+        rig: the rectified cameras.
+        table_z_mm: height of the table, base frame.
+        limits: of the recognition.
+
+    Returns:
+        The tops that stand there, the surest first; and outlines of what rises and stays unexplained, pixels of the
+        left image, each of shape (N, 2).
+    """
+    left, right = images
+    sure = [top.fit.face for top in tops if top.fit.rms_px < CERTAIN_RMS_PX]
+    pictures = Pictures.of(left.grey, right.grey)
+    pictures = replace(pictures, blur_px=measure_blur(sure, pictures, rig, table_z_mm))
+    faces = [top.fit.face for top in tops]
+    fits = fit_profiles(faces, [face.slope_u != 0.0 for face in faces], pictures, rig, table_z_mm)
+    known = [
+        replace(top, fit=_surer(top.fit, fit))
+        for top, fit in zip(tops, fits, strict=True)
+        if fit is not None and is_top(fit, table_z_mm, limits)
+    ]
+    for _ in range(_ROUNDS):
+        trusted = [top for top in known if top.fit.rms_px <= _TRUSTED_RMS_PX]
+        outlines = rising_outlines(relief, explained_polygons(trusted, rig, table_z_mm))
+        more = _rising_tops(outlines, known, left, pictures, fields, rig, table_z_mm, limits)
+        if not more:
+            break
+        known += more
+    known = sorted(one_per_place(known), key=lambda top: top.fit.rms_px)
+    rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
+    standing = [
+        top for top, pixels in zip(known, rising_px, strict=True) if pixels >= _SEAM_PX * _outline_px(top.fit.face, rig)
+    ]
+    unseen = rising_outlines(relief, explained_polygons(standing, rig, table_z_mm), _UNSEEN_PX)
+    return standing, unseen
+
+
+def _rising_tops(
+    outlines: list[Array],
+    known: list[Top],
+    left: PlaneImage,
+    pictures: Pictures,
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    table_z_mm: float,
+    limits: RecognitionParameters,
+) -> list[Top]:
+    """Return the faces behind outlines of what rises that no known top at their place fits better."""
+    heights_mm = (limits.min_height_mm, limits.max_height_mm)
+    rising = [
+        fit
+        for fit in fit_rising(outlines, left, pictures, rig, heights_mm, table_z_mm)
+        if is_top(fit, table_z_mm, limits)
+    ]
+    starts = [fit.face for fit in rising]
+    by_edges = fit_faces(starts, [face.slope_u != 0.0 for face in starts], fields, rig, SETTLE, limits.min_gradient)
+    found = [fit if edges is None else _surer(edges, fit) for fit, edges in zip(rising, by_edges, strict=True)]
+    more: list[Top] = []
+    for fit in sorted(found, key=lambda fit: fit.rms_px):
+        if not any(share_place(fit, top.fit) and top.fit.rms_px <= fit.rms_px for top in (*known, *more)):
+            more.append(Top(fit, ()))
+    return more
+
+
+def _outline_px(face: Face, rig: RectifiedRig) -> float:
+    """Return the length of a face's outline in the left image."""
+    x, y, _ = rig.project_px(face.corners_mm())
+    return float(cv2.arcLength(np.column_stack([x, y]).astype(np.float32), closed=True))
+
+
+def _surer(by_edges: FaceFit, by_profiles: FaceFit) -> FaceFit:
+    """Return the better of two fits of one face: that to the grey values where it is good, and its better misfit."""
+    if by_profiles.rms_px <= max(_GOOD_RMS_PX, by_edges.rms_px):
+        return replace(by_profiles, rms_px=min(by_profiles.rms_px, by_edges.rms_px))
+    return by_edges
