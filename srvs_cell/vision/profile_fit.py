@@ -48,7 +48,8 @@ _FAINT_SHARE = 0.3
 """A sample of a faint border is judged by this share of the outline's usual steepness."""
 _LOST_PX = 2.0
 """What a sample counts at most whose profile is another border's."""
-_RIDGE = np.outer([0.0, -0.5, 0.0, -0.5, 1.0], [0.0, -0.5, 0.0, -0.5, 1.0])
+_LEAST_RIDGE = 1e-6
+_TIE = np.outer([0.0, -0.5, 0.0, -0.5, 1.0], [0.0, -0.5, 0.0, -0.5, 1.0])
 """A side face that is hidden has no level: it is held to that of the background."""
 
 
@@ -87,7 +88,7 @@ def fit_profiles(
         blur_px = (effort[-1] if width is None else width) * pictures.blur_px
         profiles = read_profiles(outlines, pictures, rig, table_z_mm, blur_px)
         explained = _explain(profiles, pictures.noise)
-        steps, covariances = _solved(profiles, explained)
+        steps, covariances = _solved(profiles, explained, pictures.noise)
         if width is not None:
             outlines = outlines.moved(steps)
             continue
@@ -137,7 +138,7 @@ class _Explained:
 
 def _explain(profiles: Profiles, noise: float) -> _Explained:
     """Estimate the grey levels of each stretch, robustly."""
-    ridge = _RIDGE * (noise / _SIDE_SIGMA) ** 2 + np.eye(LEVELS) * _TINY
+    ridge = _ridge(noise)
     weights = profiles.weights
     residual, limit = profiles.grey, np.ones((*profiles.grey.shape[:2], 1))
     levels = np.zeros((*profiles.grey.shape[:2], LEVELS))
@@ -150,13 +151,13 @@ def _explain(profiles: Profiles, noise: float) -> _Explained:
     return _Explained(residual, weights, limit, (profiles.slopes @ levels[..., None])[..., 0])
 
 
-def _solved(profiles: Profiles, explained: _Explained) -> tuple[Array, Array]:
+def _solved(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array]:
     """Return Gauss-Newton steps (B, 7) and unscaled covariances (B, 7, 7), the grey levels eliminated."""
     jacobian = profiles.by_parameter * explained.gradient[..., None]
     weighted = np.swapaxes(jacobian * explained.weights[..., None], -1, -2)
     levels = np.swapaxes(profiles.by_level * explained.weights[..., None], -1, -2)
     cross = levels @ jacobian
-    own = levels @ profiles.by_level + np.eye(LEVELS) * _TINY + _RIDGE / _SIDE_SIGMA**2
+    own = levels @ profiles.by_level + _ridge(noise)
     normal = (weighted @ jacobian - np.swapaxes(cross, -1, -2) @ np.linalg.solve(own, cross)).sum(axis=1)
     vector = (weighted @ explained.residual[..., None]).sum(axis=1)[..., 0]
     diagonal = np.einsum("bii->bi", normal)
@@ -167,6 +168,11 @@ def _solved(profiles: Profiles, explained: _Explained) -> tuple[Array, Array]:
     steps = np.linalg.solve(scaled, (vector / norm)[..., None])[..., 0] / norm
     covariances = np.linalg.inv(scaled) / (norm[:, :, None] * norm[:, None, :])
     return np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS), covariances
+
+
+def _ridge(noise: float) -> Array:
+    ridge: Array = _TIE * (noise / _SIDE_SIGMA) ** 2 + np.eye(LEVELS) * _LEAST_RIDGE
+    return ridge
 
 
 def _judged(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array, Array]:

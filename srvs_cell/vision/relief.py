@@ -96,7 +96,10 @@ def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableRefer
     spread = 1.4826 * float(np.median(np.abs(difference[valid]))) if valid.any() else 1.0
     calm = np.asarray(valid & (np.abs(difference) <= _CALM * spread), dtype=np.float32)
     window = (_BACKGROUND_PX, _BACKGROUND_PX)
-    background = cv2.blur(difference * calm, window) / np.maximum(cv2.blur(calm, window), np.float32(_LEAST_CALM))
+    steady: NDArray[np.float32] = np.asarray(difference * calm, dtype=np.float32)
+    background = cv2.blur(steady, window) / np.maximum(
+        cv2.blur(calm, window), np.float32(_LEAST_CALM)
+    )
     difference = np.asarray(np.where(valid, difference - background, 0.0), dtype=np.float32)
     noise = max(1.4826 * float(np.median(np.abs(difference[valid]))), 0.05) if valid.any() else 1.0
     slope = [cv2.Sobel(left, cv2.CV_32F, *order, ksize=3) / _SOBEL for order in ((1, 0), (0, 1))]

@@ -114,7 +114,7 @@ def _planes_inside(left: PlaneImage, outline: Array) -> list[Array]:
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         hull = cv2.convexHull(np.concatenate(contours)).reshape(-1, 2)
         if cv2.contourArea(hull) <= _MOST_OF_OUTLINE * cv2.contourArea(polygon):
-            hulls.append(hull + np.array([x, y], dtype=np.float64))
+            hulls.append(np.asarray(hull + np.array([x, y]), dtype=np.float64))
     return hulls
 
 
