@@ -160,7 +160,7 @@ def _most_common_plane(points: Array, disparity: Array, generator: np.random.Gen
         triple = [first, *generator.choice(near, 2)]
         if abs(float(np.linalg.det(points[triple]))) < _LEAST_DETERMINANT:
             continue
-        plane = np.linalg.solve(points[triple], disparity[triple])
+        plane = np.asarray(np.linalg.solve(points[triple], disparity[triple]), dtype=np.float64)
         count = int(np.count_nonzero(np.abs(points @ plane - disparity) < _PLANE_TOLERANCE_PX))
         if count > most:
             best, most = plane, count
