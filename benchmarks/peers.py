@@ -9,7 +9,9 @@ How the peers are tuned (``--tune`` repeats it): every setting of the grids belo
 scored, and for each peer two are kept: the one of the least mean bad-1.0 and the one of the least mean rms per plane.
 Peers get the left border padded, so that the full width is matched. Holes that a peer leaves by its own checks are
 counted as bad; settings that switch the checks off are in the grids. SGBM+WLS is matched left to right and right to
-left and filtered with the left colour picture for its guide. Our own setting is the default one, tuned on no pair.
+left and filtered with the left colour picture for its guide. Our own setting is the
+default one with `dense.enabled`; what that step alone uses (superpixels' size, smoothness, the votes along borders, the
+least share of a surface, the roughness) was chosen on these pairs too, among about a hundred settings.
 """
 
 from __future__ import annotations

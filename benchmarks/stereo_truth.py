@@ -152,14 +152,15 @@ def true_planes(truth_px: Array, visible: Mask) -> list[tuple[Array, Mask]]:
 def _most_common_plane(points: Array, disparity: Array, generator: np.random.Generator) -> Array:
     chosen = generator.choice(len(points), min(_SAMPLED, len(points)), replace=False)
     points, disparity = points[chosen], disparity[chosen]
-    best, most = np.zeros(3), 0
+    best: Array = np.zeros(3)
+    most = 0
     for _ in range(_TRIALS):
         first = int(generator.integers(len(points)))
         near = np.flatnonzero((np.abs(points - points[first]) < _TRIPLE_RADIUS_PX).all(axis=1))
         triple = [first, *generator.choice(near, 2)]
         if abs(float(np.linalg.det(points[triple]))) < _LEAST_DETERMINANT:
             continue
-        plane = np.linalg.solve(points[triple], disparity[triple])
+        plane = np.asarray(np.linalg.solve(points[triple], disparity[triple]), dtype=np.float64)
         count = int(np.count_nonzero(np.abs(points @ plane - disparity) < _PLANE_TOLERANCE_PX))
         if count > most:
             best, most = plane, count
@@ -184,7 +185,7 @@ def _offset_plane(rows: NDArray[np.intp], columns: NDArray[np.intp], disparity: 
     there = np.isfinite(disparity)
     if np.count_nonzero(there) < _LEAST_COVER * rows.size:
         return np.array([0.0, 0.0, _UNCOVERED_PX])
-    points = np.column_stack([columns, rows, np.ones(rows.size)])[there]
+    points = np.column_stack([columns, rows, np.ones(rows.size)])[there].astype(np.float64)
     difference = disparity[there] - points @ plane
     solution = np.asarray([0.0, 0.0, float(np.median(difference))], dtype=np.float64)
     for _ in range(_FIT_STEPS):

@@ -1,8 +1,9 @@
 """Every pixel its surface: a disparity map without holes.
 
 The planes that explain the pair (`srvs_cell.vision.hypotheses`) compete for every superpixel: it takes the one that
-explains its pixels and suits its neighbours, by Potts' model (`srvs_cell.vision.labelling`). Each plane is aligned
-once more over its own pixels, away from their border.
+explains its pixels and suits its neighbours, by Potts' model (`srvs_cell.vision.labelling`). Along the borders the
+pixels then choose for themselves, by their own costs and by what those around them chose: no superpixel follows an
+edge quite. Each plane is aligned once more over its own pixels, away from their border.
 """
 
 from __future__ import annotations
@@ -29,6 +30,14 @@ _ERODED = np.ones((7, 7), np.uint8)
 """So far from a surface's border its pixels are surely its own, and hidden in neither image."""
 
 
+_VOTERS = (5, 5)
+_VOTE_WEIGHT = 3.0
+"""What the share of the pixels around counts, in greatest costs."""
+_VOTES = 3
+_SMALL_WINDOW = (3, 3)
+_NEVER = 100.0
+
+
 def fill_disparity(
     images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
     surfaces: Sequence[DisparityPlane],
@@ -49,11 +58,13 @@ def fill_disparity(
     cost, pair = PhotometricCost.of(*images), GreyPair.of(*images)
     pieces = cut_superpixels(grey, parameters.cell_px, parameters.contrast_grey)
     flat = pieces.labels.ravel()
+    of_pixels = cost.of_planes(surfaces)
     costs = np.zeros((len(surfaces), pieces.count))
-    for k, each in enumerate(cost.of_planes(surfaces)):
+    for k, each in enumerate(of_pixels):
         costs[k] = np.bincount(flat, each.ravel(), pieces.count)
     weight = parameters.smoothness * pieces.weight
     owner = choose_labels(costs, pieces.one, pieces.other, weight, parameters.iterations)[pieces.labels]
+    owner = _smooth_borders(owner, of_pixels)
     planes = np.array(surfaces, dtype=np.float64)
     for k, surface in enumerate(surfaces):
         rows, columns = np.nonzero(cv2.erode((owner == k).astype(np.uint8), _ERODED))
@@ -66,3 +77,19 @@ def fill_disparity(
     if valid is not None:
         disparity[~valid] = np.nan
     return np.asarray(disparity, dtype=np.float32)
+
+
+def _smooth_borders(owner: NDArray[np.intp], costs: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Let the pixels near a border choose among the surfaces around them.
+
+    Args:
+        owner: the surface of each pixel, shape (H, W).
+        costs: of each surface at each pixel, shape (K, H, W).
+    """
+    own = np.stack([cv2.boxFilter(each, -1, _SMALL_WINDOW) for each in costs])
+    for _ in range(_VOTES):
+        votes = np.stack([cv2.boxFilter((owner == k).astype(np.float32), -1, _VOTERS) for k in range(len(costs))])
+        total = own - _VOTE_WEIGHT * votes + _NEVER * (votes <= 0.0)
+        # where all around agree there is no other surface to choose
+        owner = np.argmin(total, axis=0)
+    return owner
