@@ -97,14 +97,13 @@ def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableRefer
     calm = np.asarray(valid & (np.abs(difference) <= _CALM * spread), dtype=np.float32)
     window = (_BACKGROUND_PX, _BACKGROUND_PX)
     steady: NDArray[np.float32] = np.asarray(difference * calm, dtype=np.float32)
-    background = cv2.blur(steady, window) / np.maximum(
-        cv2.blur(calm, window), np.float32(_LEAST_CALM)
-    )
+    background = cv2.blur(steady, window) / np.maximum(cv2.blur(calm, window), np.float32(_LEAST_CALM))
     difference = np.asarray(np.where(valid, difference - background, 0.0), dtype=np.float32)
     noise = max(1.4826 * float(np.median(np.abs(difference[valid]))), 0.05) if valid.any() else 1.0
     slope = [cv2.Sobel(left, cv2.CV_32F, *order, ksize=3) / _SOBEL for order in ((1, 0), (0, 1))]
     near = (_WINDOW_PX, _WINDOW_PX)
-    energy = cv2.blur(difference * difference, near)
+    squared: NDArray[np.float32] = np.square(difference)
+    energy = cv2.blur(squared, near)
     allowed = _NOISE_FACTOR * noise**2 + _SLACK_PX**2 * cv2.blur(slope[0] ** 2 + slope[1] ** 2, near)
     return Relief(difference, (energy > allowed) & valid, noise, valid)
 
