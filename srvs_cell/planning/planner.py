@@ -6,12 +6,14 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from srvs_cell.planning.clearance import conflict_table
-from srvs_cell.planning.detours import nested_detours
+from srvs_cell.planning.detours import cycles_between, nested_detours, steps_of_walk
 from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.hole_walk import shortest_walk
 from srvs_cell.planning.moves import after, fewest_moves
 from srvs_cell.planning.parameters import SearchLimits
 from srvs_cell.planning.reasons import infeasible_reasons
 from srvs_cell.planning.travel import distances, least_travel, travel_mm
+from srvs_cell.planning.walk_bound import hole_costs
 from srvs_cell.scene import Move, PlanStatus, RelocationPlan
 
 if TYPE_CHECKING:
@@ -42,6 +44,11 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
     limits = limits or SearchLimits()
     table, rule, legs = conflict_table(problem), goal_rule(problem), distances(problem)
     start = tuple(item.start for item in problem.objects)
+    target = rule.labelled
+    if target is not None and start != target and set(start) == set(target) and table.nothing_in_the_way:
+        free = [place for place in range(table.place_count) if place not in start]
+        if free:
+            return _permutation(start, target, free, table, rule, legs, limits)
     bound_mm = _travel_bound_mm(start, rule, legs)
     found = fewest_moves(start, table, rule, limits.max_moves_search)
     if found.steps is None and not found.proven:
@@ -63,10 +70,16 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
         )
     search = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_search)
     if search.steps is None:
-        capped = f"the search for the least travel ended at its cap of {limits.max_travel_search} moves tried"
         short = _short_plan(start, found.steps, table, rule, legs, limits)
-        return _unproven(short, legs, found.bound, search.bound_mm, (capped,))
-    steps = search.steps
+        return _unproven(short, legs, found.bound, search.bound_mm, (_travel_capped(limits),))
+    return _solved(search.steps, legs)
+
+
+def _travel_capped(limits: SearchLimits) -> str:
+    return f"the search for the least travel ended at its cap of {limits.max_travel_search} moves tried"
+
+
+def _solved(steps: tuple[Step, ...], legs: Distances) -> RelocationPlan:
     total_mm = travel_mm(steps, legs)
     return RelocationPlan(
         status=PlanStatus.SOLVED,
@@ -77,6 +90,33 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
         bound_moves=len(steps),
         bound_travel_mm=total_mm,
     )
+
+
+def _permutation(
+    start: Arrangement,
+    target: Arrangement,
+    free: list[int],
+    table: ConflictTable,
+    rule: GoalRule,
+    legs: Distances,
+    limits: SearchLimits,
+) -> RelocationPlan:
+    """Plan where nothing is in the way and the objects only change places: the fewest moves are known beforehand."""
+    steps = nested_detours(start, target, free, legs)
+    found_mm = travel_mm(steps, legs)
+    shorter: tuple[Step, ...] | None = None
+    if len(free) == 1:
+        costs = hole_costs(cycles_between(start, target), free[0], legs)
+        walk = shortest_walk(costs, found_mm, limits.max_travel_search)
+        bound_mm = walk.bound_mm
+        if walk.places is not None:
+            shorter = steps_of_walk(walk.places, start)
+    else:
+        search = least_travel(start, len(steps), table, rule, legs, limits.max_travel_search)
+        bound_mm, shorter = search.bound_mm, search.steps
+    if shorter is not None:
+        return _solved(shorter, legs)
+    return _unproven(steps, legs, len(steps), min(bound_mm, found_mm), (_travel_capped(limits),))
 
 
 def _short_plan(
