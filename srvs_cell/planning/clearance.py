@@ -213,7 +213,7 @@ class _Hits:
     def of(self, a: Footprint, b: Footprint, clearance_mm: float) -> list[tuple[int, int]]:
         """Return (place of A, mask of the places where B is too close to it) wherever there is any."""
         # Two oblongs are compared axis by axis, so that their corners may be farther apart than the clearance.
-        reach_mm = _outer_radius_mm(a) + _outer_radius_mm(b) + math.sqrt(2.0) * clearance_mm
+        reach_mm = outer_radius_mm(a) + outer_radius_mm(b) + math.sqrt(2.0) * clearance_mm
         if reach_mm < self._least_mm:
             return []
         known = self._known.get((a, b, clearance_mm))
@@ -228,7 +228,7 @@ class _Hits:
 
 
 @lru_cache(maxsize=1024)
-def _outer_radius_mm(shape: Footprint) -> float:
+def outer_radius_mm(shape: Footprint) -> float:
     """Return the radius of a circle round the reference point that holds the shape."""
     return float(np.linalg.norm(_core(shape), axis=-1).max()) + _radius_mm(shape)
 
