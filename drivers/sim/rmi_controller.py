@@ -181,7 +181,8 @@ class RmiController:
 
     def _answer(self, name: str, error_id: int, **fields: Any) -> None:
         # Beside an ErrorID a real controller was seen to send junk, too.
-        self.server.send({"Command": name, "ErrorID": error_id, **(fields or {"ProgramStatus": -4})})
+        junk = {"ProgramStatus": -4} if error_id else {}
+        self.server.send({"Command": name, "ErrorID": error_id, **fields, **junk})
 
     def _initialize(self, _: dict[str, Any]) -> dict[str, Any]:
         refusals = (
@@ -338,7 +339,9 @@ class RmiController:
     def _scan(self) -> None:
         """Let the program RMI_MOVE catch up with the present instant."""
         moving = self._arm.moving
-        if self._running and not self._paused and self._alarm() is not None:
+        unfinished = self._current is not None and self._current["Instruction"] in _MOVES and self._arm.stopped_short
+        halted = self._alarm() is not None or not self._arm.servo_on or (unfinished and not moving)
+        if self._running and not self._paused and halted:
             self._fall_into_pause()
         if self._current is not None and not self._paused and not moving and self._time.now_s() >= self._wait_until_s:
             done, self._current = self._current, None

@@ -270,7 +270,8 @@ class RmiSession:
                     self._give_up_waiting(name, limit_s)
                     break
                 timer = asyncio.create_task(self._clock.sleep(_LOOK_EVERY_S))
-                await asyncio.wait({reply, timer}, return_when=asyncio.FIRST_COMPLETED)
+                either: set[Future[Any]] = {reply, timer}
+                await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
                 if timer.done():
                     await timer  # a clock that has stopped says so
                 timer.cancel()
