@@ -195,7 +195,7 @@ async def test_somebody_else_holds_the_session(refuses: bool) -> None:
         await b.ready()
         task = await b.begun_move()
         b.controller.server.refuses_second = refuses
-        second = make_arm(b.clock, port=b.port, timeout_s=0.1)
+        second = make_arm(b.clock, port=b.port, timeout_s=IMPATIENT_S)
         with pytest.raises(NotConnectedError) as error:
             await second.connect()
         assert error.value.alarm is Alarm.SESSION_HELD
@@ -214,9 +214,9 @@ async def test_what_an_earlier_client_left_running_is_aborted_before_anything_el
         b.controller.server.cut()
         with pytest.raises(OutcomeUnknownError):
             await task
-        assert b.point.moving
+        went_on = b.point.moving
         await b.arm.connect()
-        assert not b.point.moving
+        assert (went_on, b.point.moving) == (True, False)
         assert b.point.pose != TARGET
         assert b.arm.lifecycle is Lifecycle.INACTIVE
         assert b.controller.motions_started == 1
@@ -234,12 +234,12 @@ async def test_a_session_that_idles_too_long_is_ended_by_the_controller_and_says
 
 
 async def test_the_first_reply_of_the_session_may_not_come() -> None:
-    async with rmi_bench(timeout_s=0.05) as b:
+    async with rmi_bench(timeout_s=IMPATIENT_S) as b:
         b.controller.server.fault, b.controller.server.fault_at = RmiFault.SILENT, "FRC_GetStatus"
         with pytest.raises(NotConnectedError) as error:
             await b.arm.connect()
         assert error.value.alarm is Alarm.CONNECTION_TIMEOUT
-        assert "FRC_GetStatus: no reply within 0.05 s" in error.value.detail
+        assert "FRC_GetStatus: no reply within 0.4 s" in error.value.detail
         assert b.arm.lifecycle is Lifecycle.DISCONNECTED
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from drivers.sim.rmi_server import RmiFault
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import Lifecycle, NotConnectedError, NotReadyError, OutcomeUnknownError, PortError
-from tests.drivers.fanuc.bench import HOME, SPEED_MM_S, TARGET
+from tests.drivers.fanuc.bench import HOME, PATIENT_S, SPEED_MM_S, TARGET
 from tests.drivers.fanuc.rmi_bench import RmiBench, rmi_bench
 
 ALLOWED = {RmiFault.NONE, RmiFault.BYTE_BY_BYTE}
@@ -19,6 +19,13 @@ IN_COMMANDS = [fault for fault in FAULTS if fault is not RmiFault.WRONG_SEQUENCE
 AT_THE_END = [fault for fault in FAULTS if fault not in {RmiFault.SILENT, RmiFault.DEAF}]
 HASTY_S = 0.15
 """A wire time-out that a test waits for."""
+
+
+def _break(b: RmiBench, fault: RmiFault, at: str | None = None) -> None:
+    """Let the wire go wrong; only where a time-out is what ends it, it is short."""
+    b.controller.server.fault, b.controller.server.fault_at = fault, at
+    if fault in {RmiFault.SILENT, RmiFault.DEAF}:
+        b.arm._session._timeout_s = HASTY_S
 
 
 def _moves(b: RmiBench) -> int:
@@ -34,6 +41,7 @@ async def _two_readings(b: RmiBench) -> None:
 async def _found_again(b: RmiBench, moves: int) -> None:
     """After the fault the robot is connected afresh, does nothing by itself, and moves on a new command."""
     b.controller.server.fault = RmiFault.NONE
+    b.arm._session._timeout_s = PATIENT_S
     await b.clock.sleep(10.0)
     stood = b.point.pose
     await b.arm.disconnect()
@@ -47,10 +55,10 @@ async def _found_again(b: RmiBench, moves: int) -> None:
 
 @pytest.mark.parametrize("fault", IN_COMMANDS)
 async def test_a_fault_of_the_wire_in_mid_move_leaves_the_outcome_unknown(fault: RmiFault) -> None:
-    async with rmi_bench(timeout_s=HASTY_S) as b:
+    async with rmi_bench() as b:
         await b.ready()
         task = await b.begun_move()
-        b.controller.server.fault = fault
+        _break(b, fault)
         with pytest.raises(OutcomeUnknownError) as unknown:
             await task
         assert unknown.value.alarm is Alarm.MOTION_OUTCOME_UNKNOWN
@@ -61,9 +69,9 @@ async def test_a_fault_of_the_wire_in_mid_move_leaves_the_outcome_unknown(fault:
 
 @pytest.mark.parametrize("fault", AT_THE_END)
 async def test_a_fault_of_the_wire_in_the_reply_to_the_move_leaves_the_outcome_unknown(fault: RmiFault) -> None:
-    async with rmi_bench(timeout_s=HASTY_S) as b:
+    async with rmi_bench() as b:
         await b.ready()
-        b.controller.server.fault, b.controller.server.fault_at = fault, "FRC_LinearMotion"
+        _break(b, fault, "FRC_LinearMotion")
         with pytest.raises(OutcomeUnknownError):
             await b.arm.move_linear(TARGET, SPEED_MM_S)
         assert b.arm.lifecycle is Lifecycle.DISCONNECTED
@@ -81,9 +89,9 @@ async def test_a_reply_to_a_move_that_never_comes_leaves_the_outcome_unknown() -
 
 @pytest.mark.parametrize("fault", IN_COMMANDS)
 async def test_a_fault_of_the_wire_before_the_command_moves_nothing(fault: RmiFault) -> None:
-    async with rmi_bench(timeout_s=HASTY_S) as b:
+    async with rmi_bench() as b:
         await b.ready()
-        b.controller.server.fault = fault
+        _break(b, fault)
         with pytest.raises(PortError) as error:
             await b.arm.move_linear(TARGET, 100.0)
         if fault is not RmiFault.DUPLICATE:  # a duplicate is noticed with the next reply, or before
@@ -189,9 +197,9 @@ async def test_a_program_aborted_on_the_pendant_before_a_move_is_noticed() -> No
 
 
 async def test_an_output_whose_write_is_not_answered_is_unknown() -> None:
-    async with rmi_bench(timeout_s=HASTY_S) as b:
+    async with rmi_bench() as b:
         await b.ready()
-        b.controller.server.fault, b.controller.server.fault_at = RmiFault.SILENT, "FRC_WriteDOUT"
+        _break(b, RmiFault.SILENT, "FRC_WriteDOUT")
         with pytest.raises(OutcomeUnknownError) as unknown:
             await b.arm.write_output(5, on=True)
         assert unknown.value.alarm is Alarm.CONNECTION_TIMEOUT
