@@ -22,12 +22,19 @@ def plan_command(
         Path, typer.Argument(metavar="PROBLEM.json", help="A planning-problem/1 file: one problem, or many.")
     ],
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object per problem on stdout.")] = False,
+    explained: Annotated[
+        bool, typer.Option("--explain", help="Say why so many moves, what each object does, and what would help.")
+    ] = False,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE.svg", help="Draw the plan; for a file of many problems the last one."),
+    ] = None,
 ) -> None:
     """Plan a relocation with the fewest moves and the least travel; infeasible is an answer."""
     import json  # noqa: PLC0415 - the command line starts lazily
 
     from srvs_cell.alarms import Alarm, AlarmError  # noqa: PLC0415 - as above
-    from srvs_cell.planning import has_plan, plan, plan_to_json, read_problems, validate  # noqa: PLC0415 - as above
+    from srvs_cell.planning import explain, has_plan, plan, plan_svg, plan_to_json, read_problems, validate  # noqa: PLC0415 - as above
 
     try:
         data = json.loads(problem_file.read_text(encoding="utf-8"))
@@ -40,10 +47,19 @@ def plan_command(
         refusal = validate(problem, answer.moves) if has_plan(answer) else []
         if refusal:
             raise AlarmError(Alarm.PLAN_INVALID, f"{problem_file}: {problem.id}: {'; '.join(refusal)}.")
+        lines = explain(problem, answer) if explained else ()
         if as_json:
-            typer.echo(json.dumps(plan_to_json(problem, answer)))
+            told = {"explanation": list(lines)} if explained else {}
+            typer.echo(json.dumps(plan_to_json(problem, answer) | told))
         else:
             _show(problem, answer)
+            for line in lines:
+                typer.echo(f"  {line}")
+        if picture is not None:
+            try:
+                picture.write_text(plan_svg(problem, answer.moves, problem.id), encoding="utf-8")
+            except OSError as error:
+                raise AlarmError(Alarm.FILE_INVALID, f"{picture}: {error.strerror}.") from error
 
 
 def _show(problem: Problem, answer: RelocationPlan) -> None:

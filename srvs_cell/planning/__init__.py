@@ -1,7 +1,9 @@
 """Planning: goal rules, fewest moves, shortest travel, checked plan."""
 
 from srvs_cell.planning.buffers import Workspace
+from srvs_cell.planning.explain import explain, what_would_help
 from srvs_cell.planning.parameters import FingerGeometry, PlanningParameters, SearchLimits
+from srvs_cell.planning.picture import plan_svg
 from srvs_cell.planning.planner import has_plan, plan, plan_to_json
 from srvs_cell.planning.problem import (
     AssignGoal,
@@ -39,12 +41,15 @@ __all__ = [
     "SearchLimits",
     "TableProblem",
     "Workspace",
+    "explain",
     "footprint_centroid_mm",
     "has_plan",
     "plan",
     "plan_relocation",
+    "plan_svg",
     "plan_to_json",
     "read_problems",
     "table_problem",
     "validate",
+    "what_would_help",
 ]

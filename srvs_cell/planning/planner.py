@@ -30,7 +30,7 @@ GREEDY_WEIGHT = 3.0
 GREEDY_TRAVEL_WEIGHT = 2.0
 """The same for the search for the least travel."""
 
-_MOST_IN_SEARCH = 12
+_MOST_IN_SEARCH = 9
 """With more objects the fewest moves are found by who must leave before whom, where that is possible."""
 
 _MANY_OBJECTS = f"the least travel is not searched for with more than {_MOST_IN_SEARCH} objects in each other's way"

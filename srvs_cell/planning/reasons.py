@@ -77,6 +77,14 @@ def _object_reason(
         return f"belongs on {goal_text}, but every place is taken and there is no free buffer place to begin with"
     seen = {arrangement[item] for arrangement in explored}
     count = len(explored)
+    fixed = {other for other in range(len(problem.objects)) if _never_moves(problem, other, explored)}
+    fingers = _in_the_way_of_fingers(problem, table, item, origin, fixed)
+    if fingers:
+        return f"cannot be gripped on {here}: a finger hits {' and '.join(fingers)}"
+    holder = next((other.id for other in problem.objects if other.start in goals and other.id in fixed), None)
+    if len(goals) == 1 and holder is not None and holder != item:
+        why = _why_fixed(problem, table, holder, fixed)
+        return f"belongs on {goal_text}, taken by {problem.objects[holder].name}, which cannot leave{why}"
     blockers = _blockers(problem, table, item, [origin])
     if seen == {origin}:
         return f"can never leave {here}{blockers}; all {count} arrangements that can be reached were looked at"
@@ -87,6 +95,30 @@ def _object_reason(
         f"can get to {goal_text}, but never while the others stand where they belong; "
         f"all {count} arrangements that can be reached were looked at"
     )
+
+
+def _never_moves(problem: Problem, item: int, explored: dict[Arrangement, int]) -> bool:
+    start = problem.objects[item].start
+    return all(arrangement[item] == start for arrangement in explored)
+
+
+def _in_the_way_of_fingers(problem: Problem, table: ConflictTable, item: int, place: int, fixed: set[int]) -> list[str]:
+    """Name the objects that cannot leave and of which one at least is in the way of every grip at a place."""
+    standing = {other: table.bit(other, problem.objects[other].start) for other in fixed - {item}}
+    grips = table.grip_blocked_by[item][place]
+    if not all(any(mask & bit for bit in standing.values()) for mask in grips):
+        return []
+    return [problem.objects[o].name for o, bit in sorted(standing.items()) if any(mask & bit for mask in grips)]
+
+
+def _why_fixed(problem: Problem, table: ConflictTable, item: int, fixed: set[int]) -> str:
+    start = problem.objects[item].start
+    if not problem.places[start].reachable:
+        return ": out of reach"
+    if all(mask == NEVER for mask in table.grip_blocked_by[item][start]):
+        return ": an obstacle is in the way of the fingers"
+    fingers = _in_the_way_of_fingers(problem, table, item, start, fixed)
+    return f": a finger hits {' and '.join(fingers)}" if fingers else ""
 
 
 def _goal_neighbour(problem: Problem, table: ConflictTable, rule: GoalRule, item: int, goals: list[int]) -> str | None:

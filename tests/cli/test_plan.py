@@ -106,3 +106,16 @@ def test_the_shared_file_gives_the_proven_optima(app: typer.Typer) -> None:
     for line, instance in zip(lines, instances(), strict=True):
         assert line["status"] == instance["optimal"]["status"]
         assert line["moves"] == instance["optimal"]["moves"]
+
+
+def test_a_plan_is_explained_and_drawn(app: typer.Typer, tmp_path: Path) -> None:
+    problem, picture = _write(tmp_path, wire_problem()), tmp_path / "plan.svg"
+    arguments = ["plan", problem, "--explain", "--picture", str(picture)]
+    shown = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert "3 moves, proven least: 2 stand wrongly" in shown.stdout
+    assert picture.read_text(encoding="utf-8").startswith("<svg")
+    told = json.loads(CliRunner().invoke(app, ["plan", problem, "--explain", "--json"]).stdout)
+    assert len(told["explanation"]) == 3
+    with pytest.raises(AlarmError) as caught:
+        CliRunner().invoke(app, [*arguments[:-1], str(tmp_path / "none" / "plan.svg")], catch_exceptions=False)
+    assert caught.value.alarm is Alarm.FILE_INVALID

@@ -77,7 +77,18 @@ def test_a_neighbour_out_of_reach_keeps_the_fingers_out() -> None:
         ),
         1,
     )
-    assert "can never leave place 0 (0.0, 0.0) (in the way: object 1)" in _reasons(problem)[0]
+    assert "cannot be gripped on place 0 (0.0, 0.0): a finger hits object 1" in _reasons(problem)[0]
+
+
+def test_a_goal_that_is_taken_names_who_cannot_leave_and_why() -> None:
+    base = line_problem([10.0, 20.0])
+    goal = AssignGoal((frozenset({1}), frozenset({1, 2})), frozenset())
+    reasons = _reasons(_unreachable(dataclasses.replace(base, goal=goal), 1))
+    assert reasons[0] == "object 0: belongs on place 1 (100.0, 0.0), which is out of reach"
+    grip = FingerGrip("along x", (0.0, 0.0), 0.0, 15.0, 10.0, 16.0)
+    gripped = (base.objects[0], dataclasses.replace(base.objects[1], grips=(grip,)))
+    blocked = dataclasses.replace(base, goal=goal, objects=gripped, obstacles=(Obstacle(Disc(4.0), 120.0, 0.0),))
+    assert "taken by object 1, which cannot leave: an obstacle is in the way of the fingers" in _reasons(blocked)[0]
 
 
 def test_the_order_that_cannot_be_mended_names_every_object() -> None:

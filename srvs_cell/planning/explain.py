@@ -1,0 +1,134 @@
+"""A plan in words: why so many moves, what happens to each object and why, what would make the impossible possible."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from srvs_cell.planning.clearance import conflict_table, outer_radius_mm
+from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.moves import after, fewest_moves
+from srvs_cell.scene import Move, Place, PlaceKind, PlanStatus
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from srvs_cell.planning.clearance import ConflictTable
+    from srvs_cell.planning.problem import Problem
+    from srvs_cell.scene import RelocationPlan
+
+_MOST_MOVES_TRIED = 20_000
+"""Moves that are tried for each change: help should be cheap."""
+
+
+def explain(problem: Problem, answer: RelocationPlan) -> tuple[str, ...]:
+    """Explain an answer.
+
+    Args:
+        problem: the problem.
+        answer: the planner's answer to it.
+
+    Returns:
+        lines: the number of moves; one for each object; for an infeasible problem its reasons, and single changes that
+        make it solvable.
+    """
+    if answer.status is PlanStatus.INFEASIBLE:
+        helpful = what_would_help(problem)
+        lines = [f"it would help: {change}" for change in helpful]
+        return tuple(lines or ["no single change that was tried makes it solvable"])
+    if not answer.moves and not answer.moves_proven and answer.status is PlanStatus.NOT_PROVEN:
+        return ()
+    return (_count(problem, answer), *_objects(problem, answer))
+
+
+def _count(problem: Problem, answer: RelocationPlan) -> str:
+    rule = goal_rule(problem)
+    start = tuple(item.start for item in problem.objects)
+    wrong = len(rule.misplaced(start))
+    bound = rule.lower_bound(start)
+    proof = "proven least" if answer.moves_proven else f"at least {answer.bound_moves} are needed"
+    text = f"{len(answer.moves)} moves, {proof}: {wrong} stand wrongly"
+    if bound > wrong:
+        text += f", {bound - wrong} more where places are exchanged in a ring and somebody has to step out of it first"
+    if len(answer.moves) > bound:
+        text += f", {len(answer.moves) - bound} more because objects are in each other's way"
+    return text
+
+
+def _objects(problem: Problem, answer: RelocationPlan) -> Iterator[str]:
+    """Yield a line for each object."""
+    table, rule = conflict_table(problem), goal_rule(problem)
+    arrangement = tuple(item.start for item in problem.objects)
+    ways: dict[int, list[str]] = {item.id: [] for item in problem.objects}
+    for number, move in enumerate(answer.moves, start=1):
+        final = rule.allowed[move.object] >> move.to_place & 1
+        why = "" if final else _why_not_at_once(problem, table, arrangement, move, rule.allowed[move.object])
+        ways[move.object].append(f"move {number} to {_place(problem, move.to_place)}{why}")
+        arrangement = after(arrangement, (move.object, move.from_place, move.to_place))
+    for item in problem.objects:
+        right = rule.allowed[item.id] >> item.start & 1
+        steps = "; ".join(ways[item.id])
+        if not steps:
+            yield f"{item.name}: stays, it stands where it may end"
+        elif right:
+            yield f"{item.name}: stands where it may end, but makes room: {steps}"
+        else:
+            yield f"{item.name}: {steps}"
+
+
+def _why_not_at_once(
+    problem: Problem, table: ConflictTable, arrangement: tuple[int, ...], move: Move, allowed: int
+) -> str:
+    """Say who is in the way at an object's goals while it goes elsewhere."""
+    names = []
+    for other, place in enumerate(arrangement):
+        if other == move.object:
+            continue
+        bit = table.bit(other, place)
+        for goal in range(table.place_count):
+            if not allowed >> goal & 1:
+                continue
+            grips = table.grip_blocked_by[move.object][goal]
+            if place == goal or table.blocked_by[move.object][goal] & bit or any(mask & bit for mask in grips):
+                names.append(problem.objects[other].name)
+                break
+    return f" for the time being: {', '.join(names)} in the way at its goal" if names else " to make room"
+
+
+def what_would_help(problem: Problem) -> tuple[str, ...]:
+    """Return single changes, each of which makes an infeasible problem solvable.
+
+    Tried are one more buffer place, and each place out of reach, obstacle and object taken away in turn. Changes whose
+    search ends at its cap are not named.
+    """
+    return tuple(text for text, changed in _changes(problem) if _solvable(changed))
+
+
+def _solvable(problem: Problem) -> bool:
+    start = tuple(item.start for item in problem.objects)
+    # A greedy search: that there is a plan is all that is asked.
+    found = fewest_moves(start, conflict_table(problem), goal_rule(problem), _MOST_MOVES_TRIED, weight=2.0)
+    return found.steps is not None
+
+
+def _changes(problem: Problem) -> Iterator[tuple[str, Problem]]:
+    reach = max((outer_radius_mm(item.footprint) for item in problem.objects), default=0.0)
+    farthest = max((place.x_mm for place in problem.places), default=0.0)
+    farthest = max([farthest, *(o.x_mm + outer_radius_mm(o.footprint) for o in problem.obstacles)])
+    grips = [abs(grip.inner_mm) + grip.thick_mm + grip.width_mm for item in problem.objects for grip in item.grips]
+    beside_mm = farthest + 4.0 * (reach + max(grips, default=0.0) + problem.clearance_mm)
+    spare = Place(len(problem.places), beside_mm, 0.0, PlaceKind.BUFFER)
+    yield "one more free buffer place", replace(problem, places=(*problem.places, spare))
+    for place in problem.places:
+        if not place.reachable:
+            within = tuple(replace(p, reachable=True) if p.id == place.id else p for p in problem.places)
+            yield f"{_place(problem, place.id)} within reach", replace(problem, places=within)
+    for number, obstacle in enumerate(problem.obstacles):
+        rest = (*problem.obstacles[:number], *problem.obstacles[number + 1 :])
+        text = f"the obstacle at ({obstacle.x_mm:.1f}, {obstacle.y_mm:.1f}) taken away"
+        yield text, replace(problem, obstacles=rest)
+
+
+def _place(problem: Problem, place: int) -> str:
+    spot = problem.places[place]
+    return f"{spot.kind.value} {place} ({spot.x_mm:.1f}, {spot.y_mm:.1f})"
