@@ -109,7 +109,12 @@ def _rising_tops(
     )
     starts = [fit.face for fit in rising]
     by_edges = fit_faces(starts, [face.slope_u != 0.0 for face in starts], fields, rig, SETTLE, limits.min_gradient)
-    found = [fit if edges is None else _surer(edges, fit) for fit, edges in zip(rising, by_edges, strict=True)]
+    # part of a face may explain the grey values along itself, but it has no edges of its own
+    found = [
+        _surer(edges, fit)
+        for fit, edges in zip(rising, by_edges, strict=True)
+        if edges is not None and edges.rms_px <= limits.max_rms_px
+    ]
     more: list[Top] = []
     for fit in sorted(found, key=lambda fit: fit.rms_px):
         if not any(share_place(fit, top.fit) and top.fit.rms_px <= fit.rms_px for top in (*known, *more)):
