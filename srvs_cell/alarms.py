@@ -55,6 +55,7 @@ class Alarm(Enum):
     PROTOCOL_VERSION = AlarmDefinition(1006, _C, Reaction.ABORT, "The robot's program is of another protocol version, or its registers are not mapped.", "Load the robot programs of this release and check $SNPX_ASG; unassigned words read 0.")
     DEVICE_UNAVAILABLE = AlarmDefinition(1007, _C, Reaction.ABORT, "A device is not connected.", "Check power and cable; clear to reconnect.")
     CLOCK_LOST = AlarmDefinition(1008, _C, Reaction.ABORT, "The simulated cell's clock has stopped.", "Start the simulated cell again.")
+    SESSION_HELD = AlarmDefinition(1009, _C, Reaction.ABORT, "Somebody else holds the robot's motion session.", "End the other client (another PC, a tool, a hung program), or wait for the controller's idle limit $RMI_CFG.$DISCNT_TIM; then clear.")
 
     ROBOT_NOT_READY = AlarmDefinition(2001, _E, Reaction.STOP, "The robot is not ready to be moved by this PC.", "Switch to AUTO, disable the pendant, clear robot faults, then reset.")
     ROBOT_FAULT = AlarmDefinition(2002, _C, Reaction.ABORT, "The robot controller reports a fault.", "Read the alarm on the pendant, remove its cause, reset the controller, then clear and reset the cell.")

@@ -1,53 +1,46 @@
-"""A FANUC controller with option R553 and the program SRVS, as a PC sees it over Modbus TCP.
+"""A FANUC controller with option R553, as a PC sees it over Modbus TCP: it executes the robot's own programs.
 
-Built from docs/reference/modbus-map.md alone and packed with `struct`: it shares no codec with the driver. Like the
-robot's program it copies parameters before it acts, checks them itself, counts a heartbeat in a second task, stops
-on the hold output and when the PC's heartbeat freezes, and takes no command that was sent before it started.
+What the programs of drivers/fanuc/controller/ say is what happens: an interpreter (drivers/sim/tp) runs them against
+the simulated arm, and their command file SRVS.CF lays out the words. Only what the controller itself does is written
+here: operating mode, alarms, UOP signals, power, and the wiring of the reset output.
 """
 
 from __future__ import annotations
 
 import re
-import struct
 import threading
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Protocol
 
 from drivers.sim.modbus_server import HoldableTime, ModbusServer
+from drivers.sim.snpx import WordTable, split
+from drivers.sim.tp import TpAlarm, TpMachine, load, shipped_sources
 from srvs_cell.geometry import Xyzwpr
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from srvs_cell.ports import RobotMode
 
-_PROTO: Final = 4201
-_FIRST: Final = 12001 - 1  # wire addresses count from 0
-_PC_FIRST: Final = 12031 - 1
-_LAST: Final = 12049 - 1
-_WORDS: Final = _LAST - _FIRST + 1
-_PC_WORDS: Final = _LAST - _PC_FIRST + 1
+_MAIN: Final = "SRVS"
+_HEARTBEAT: Final = "SRVS_HB"
+_COMMAND_FILE: Final = "SRVS.CF"
 
-_MOVE_L, _MOVE_J = 1, 2
-_IDLE, _BUSY, _DONE, _FAULT = 0, 1, 2, 3
-_BAD_COMMAND, _BAD_SUM, _BAD_POSITION, _BAD_SPEED, _BAD_FRAME, _NO_PC, _HELD = 1, 2, 3, 4, 5, 6, 7
-_STOPPED, _STOPPED_BY_WATCHDOG = 20, 21
-
-_COUNT_TO: Final = 30_000
-_BEAT_S: Final = 0.1
 _SCAN_S: Final = 0.05
-_TAKE_S: Final = 0.15  # register write to motion, measured on a controller (references/fanuc.md 1b)
-_PC_SILENT_S: Final = 2.0
-_REACH_UM: Final = 3_000_000
-_ANGLE_MDEG: Final = 360_000
-_SPEED_L_UM: Final = (1_000, 2_000_000)
-_SPEED_J_MILLI: Final = (1_000, 100_000)
+_SWITCHED_ON_S: Final = 1.0
+"""How long the controller has been on, and its programs have run, when it begins to serve."""
+
 _HOLD_DO: Final = 3
 _RESET_DO: Final = 4
 _OUTPUTS: Final = 512
 _JOIN_S: Final = 2.0  # real seconds: simulated time may already stand still
+_MICRO: Final = 1000
+_UO_BITS: Final = 16
+
+_MODE_SIGNALS: Final = {"AUTO": {8, 9}, "T1": {9}, "T2": set[int]()}
+"""SI[8] and SI[9] of the mode switch [?]."""
 
 _FACILITY: Final = {"MEMO": 7, "TPIF": 9, "SRVO": 11, "INTP": 12, "PRIO": 13, "MOTN": 15, "SYST": 24}
 _NAMED_ALARM: Final = re.compile(r"\b([A-Z]{4})-(\d{3})\b")
-_UNREACHABLE: Final = (15, 18)  # MOTN-018 Position not reachable
 _UNNAMED: Final = (24, 999)
 
 
@@ -124,124 +117,299 @@ class ControllerTime(HoldableTime, Protocol):
         ...
 
 
-@dataclass
-class _Motion:
-    """The motion task's private copy of a command, and how far it has come."""
+class _Robot:
+    """The controller's devices and data, as its programs and its word table see them.
 
-    sequence: int
-    command: int
-    micro: tuple[int, ...]
-    total: int
-    taken_at_s: float
-    started: bool = False
-    stop_code: int = 0
+    Attributes:
+        motions_started: how many motions the arm was told to begin.
+        user_frame, user_tool: active frame numbers.
+        outputs: DO that lead to no device of the arm.
+        alarm: facility and number of the active alarm, zeros without.
+        machine: runs the programs.
+    """
 
+    def __init__(self, arm: ControlledArm, sources: Mapping[str, str]) -> None:
+        self.motions_started = 0
+        self.user_frame = 1
+        self.user_tool = 1
+        self.outputs = {_HOLD_DO: False, _RESET_DO: False}
+        self.alarm = (0, 0)
+        self.machine = TpMachine(load(sources), self)
+        self._arm = arm
+        self._robot_outputs: dict[int, bool] = {}
+        self._flags: dict[int, bool] = {}
 
-@dataclass
-class _Registers:
-    """R registers that the program writes."""
+    # -- what programs see --------------------------------------------------------------------------------------------
 
-    acknowledged: int = 0
-    state: int = _IDLE
-    fault: int = 0
-    alarm: tuple[int, int] = (0, 0)
-    pc: list[int] = field(default_factory=lambda: [0] * _PC_WORDS)
-    """What the PC has written, from %R12031 on."""
+    def signal(self, kind: str, number: int) -> bool:
+        """Return a signal; inputs of the end effector (RI) and all of UI are not wired."""
+        if kind == "DO":
+            return self.outputs[number] if number in self.outputs else self._arm.output(number)
+        if kind == "DI":
+            return self._arm.input(number)
+        if kind == "SI":
+            return number in _MODE_SIGNALS.get(str(self._arm.mode), set())
+        if kind == "UO":
+            return bool(self._uop() >> (number - 1) & 1)
+        return {"RO": self._robot_outputs, "F": self._flags}.get(kind, {}).get(number, False)
+
+    def set_signal(self, kind: str, number: int, on: bool) -> None:
+        """Switch DO, RO or a flag."""
+        if kind == "RO":
+            self._robot_outputs[number] = on
+        elif kind == "F":
+            self._flags[number] = on
+        elif number in self.outputs:
+            self.outputs[number] = on
+        else:
+            self._arm.set_output(number, on)
+
+    def variable(self, name: str) -> int:
+        """Return a system variable; raises KeyError where there is none."""
+        return {
+            "$MNUFRAMENUM[1]": self.user_frame,
+            "$MNUTOOLNUM[1]": self.user_tool,
+            "$MCR.$GENOVERRIDE": self._arm.override_percent,
+        }[name]
+
+    def select_frame(self, name: str, number: int) -> None:
+        """Make a user frame or a tool the active one."""
+        if name == "UFRAME_NUM":
+            self.user_frame = number
+        else:
+            self.user_tool = number
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion is under way."""
+        return self._arm.moving
+
+    @property
+    def stopped_short(self) -> bool:
+        """Whether the last motion ended before its target; an arm in fault has not arrived."""
+        return self._arm.stopped_short
+
+    def position(self) -> tuple[float, ...]:
+        """Return the TCP's pose."""
+        return self._arm.pose.as_tuple()
+
+    def start(self, position: Sequence[float], speed: float, *, joint: bool) -> None:
+        """Begin a motion."""
+        target = Xyzwpr(*position)
+        try:
+            if joint:
+                self._arm.start_joint(target, speed)
+            else:
+                self._arm.start_linear(target, speed)
+        except MotionRefusedError as error:
+            raise TpAlarm(str(error)) from error
+        self.motions_started += 1
+
+    def stop(self) -> None:
+        """Cancel the motion under way."""
+        self._arm.stop()
+
+    # -- what the word table sees -------------------------------------------------------------------------------------
+
+    def register(self, index: int) -> float:
+        """Return R[index]."""
+        return self.machine.memory.registers.get(index, 0)
+
+    def set_register(self, index: int, value: int) -> None:
+        """Write R[index]."""
+        self.machine.memory.registers[index] = value
+
+    def element(self, name: str, index: int, multiply: int) -> list[int]:
+        """Return the words of POS, ALM, UO or a system variable."""
+        if name == "UO":
+            return [self._uop() & ((1 << _UO_BITS) - 1)]
+        if name == "ALM":
+            return list(self.alarm)
+        if name == "POS":
+            return [word for value in self._arm.pose.as_tuple() for word in split(round(value * multiply))]
+        return split(self.variable(f"{name}[{index}]" if index else name) * multiply)
+
+    # -- what the controller does by itself ---------------------------------------------------------------------------
+
+    def catch_up(self, now_s: float) -> None:
+        """Let the programs come up to ``now_s``; an alarm of the arm or of a program pauses them."""
+        if self._arm.fault is not None:
+            self._raise(self._arm.fault)
+        alarm = self.machine.catch_up(now_s)
+        if alarm is not None:
+            self._raise(alarm)
+
+    def reset(self, now_s: float) -> None:
+        """DO[4]: fault reset, abort, start of SRVS from its first line."""
+        if self._arm.moving:
+            return
+        self._arm.reset_fault()
+        if self._arm.fault is None:
+            self.machine.abort()
+            self._begin(now_s)
+
+    def power_off(self) -> None:
+        """End motion and programs, switch the controller's own outputs off; registers keep their values."""
+        self._arm.stop()
+        self.machine.power_off()
+        self.outputs = dict.fromkeys(self.outputs, False)
+
+    def power_on(self, now_s: float) -> None:
+        """Start SRVS, and let it run for the time that the controller has been on."""
+        self._begin(now_s - _SWITCHED_ON_S)
+
+    def _begin(self, at_s: float) -> None:
+        self.alarm = (0, 0)
+        self.machine.run(_MAIN, at_s)
+
+    def _raise(self, text: str) -> None:
+        self.alarm = _alarm_words(text)
+        self.machine.paused = True
+
+    def _uop(self) -> int:
+        """Return UO[1] to UO[8]."""
+        arm, paused, faulty = self._arm, self.machine.paused, self.alarm != (0, 0)
+        remote = str(arm.mode) == "AUTO" and not arm.pendant_enabled
+        running = self.machine.running(_MAIN) and not paused
+        return (
+            (remote and arm.servo_on and not faulty)
+            | arm.servo_on << 1
+            | running << 2
+            | paused << 3
+            | faulty << 5
+            | arm.pendant_enabled << 7
+        )
 
 
 class ModbusController:
     """The controller double.
 
+    Args:
+        arm: what it drives.
+        time: simulated time.
+        port: where it serves; 0 takes a free one.
+        unit_id: ``$SNPX_PARAM.$MODBUS_ADR``.
+        sources: the robot's files by name; the shipped ones without.
+
+    Raises:
+        TpError: a program is refused; the message says file, line and reason.
+
     Attributes:
-        motions_started: how many motions the arm was told to begin; a repeated command would show here.
-        heartbeat_frozen: set it to let the heartbeat task die.
-        user_frame, user_tool: active frame numbers.
         server: the wire, with its faults.
     """
 
-    def __init__(self, arm: ControlledArm, time: ControllerTime, port: int = 0, unit_id: int = 1) -> None:
-        self.motions_started = 0
-        self.heartbeat_frozen = False
-        self.user_frame = 1
-        self.user_tool = 1
+    def __init__(
+        self,
+        arm: ControlledArm,
+        time: ControllerTime,
+        port: int = 0,
+        unit_id: int = 1,
+        sources: Mapping[str, str] | None = None,
+    ) -> None:
+        sources = shipped_sources() if sources is None else sources
         self.server = ModbusServer(self, time, port, unit_id)
-        self._arm, self._time = arm, time
-        self._r = _Registers()
-        self._motion: _Motion | None = None
-        self._paused = False
-        self._beat = 1
-        self._beat_at_s = time.now_s()
-        self._pc_beat = 0
-        self._pc_beat_at_s = time.now_s()
-        self._pc_frozen = True
-        self._own_outputs = {_HOLD_DO: False, _RESET_DO: False}
+        self._time = time
+        self._robot = _Robot(arm, sources)
+        self._words = WordTable(sources[_COMMAND_FILE])
+        self._robot.power_on(time.now_s())
         self._lock = threading.RLock()
         self._closing = threading.Event()
         self._scanner = threading.Thread(target=self._scan_for_ever, name="controller double", daemon=True)
 
+    @property
+    def motions_started(self) -> int:
+        """How many motions the arm was told to begin; a repeated command would show here."""
+        return self._robot.motions_started
+
+    @property
+    def user_frame(self) -> int:
+        """The active user frame."""
+        return self._robot.user_frame
+
+    @user_frame.setter
+    def user_frame(self, number: int) -> None:
+        self._robot.user_frame = number
+
+    @property
+    def user_tool(self) -> int:
+        """The active tool."""
+        return self._robot.user_tool
+
+    @user_tool.setter
+    def user_tool(self, number: int) -> None:
+        self._robot.user_tool = number
+
+    @property
+    def heartbeat_frozen(self) -> bool:
+        """Whether the heartbeat task stands still, as after a defect."""
+        return _HEARTBEAT in self._robot.machine.frozen
+
+    @heartbeat_frozen.setter
+    def heartbeat_frozen(self, frozen: bool) -> None:
+        with self._lock:
+            self._scan()
+            self._robot.machine.frozen = {_HEARTBEAT} if frozen else set()
+
     def start(self) -> int:
-        """Serve and run the robot's tasks; return the bound port."""
+        """Serve and run the robot's programs; return the bound port."""
         self._scanner.start()
         return self.server.start()
 
     def close(self) -> None:
-        """End server and tasks."""
+        """End server and programs."""
         self._closing.set()
         self.server.close()
         self._scanner.join(_JOIN_S)
 
     def reboot(self) -> None:
-        """Power off and on: connection cut, motion ended, registers cleared, outputs off, program started anew."""
+        """Power off and on: connection cut, motion ended, outputs off, programs started anew; registers stay."""
         with self._lock:
-            self._arm.stop()
-            self._r = _Registers()
-            self._own_outputs = dict.fromkeys(self._own_outputs, False)
-            self._pc_frozen = True
-            self._start_program()
+            self._robot.power_off()
+            self._robot.power_on(self._time.now_s())
         self.server.cut()
+
+    def run_program(self, name: str) -> None:
+        """Start a program from the pendant, beside what runs."""
+        with self._lock:
+            self._robot.machine.run(name, self._time.now_s())
+
+    @property
+    def messages(self) -> list[str]:
+        """What programs have shown on the pendant."""
+        return list(self._robot.machine.messages)
 
     def read_words(self, address: int, count: int) -> list[int]:
         """Return words of the $SNPX_ASG table; what is not assigned reads 0."""
         with self._lock:
             self._scan()
-            table = self._table()
-        return [table[a - _FIRST] if _FIRST <= a <= _LAST else 0 for a in range(address, address + count)]
+            return self._words.read(address + 1, count, self._robot)
 
     def write_words(self, address: int, values: list[int]) -> None:
-        """Set the PC's words; others are not assigned for writing and keep their values."""
+        """Set registers through the $SNPX_ASG table; what is not assigned is ignored."""
         with self._lock:
             self._scan()
-            for a, value in enumerate(values, start=address):
-                if _PC_FIRST <= a <= _LAST:
-                    self._r.pc[a - _PC_FIRST] = value
-            self._scan()
+            self._words.write(address + 1, values, self._robot)
 
     def read_coils(self, address: int, count: int) -> list[bool]:
         """Return DO[address + 1] and up."""
         with self._lock:
             self._scan()
-            return [self._output(n) for n in _numbers(address, count)]
+            return [self._robot.signal("DO", n) for n in _numbers(address, count)]
 
     def write_coils(self, address: int, values: list[bool]) -> None:
-        """Set DO[address + 1] and up."""
+        """Set DO[address + 1] and up; DO[4] resets when it comes on."""
         with self._lock:
             self._scan()
             for n, on in zip(_numbers(address, len(values)), values, strict=True):
-                if n == _RESET_DO and on and not self._own_outputs[n]:
-                    self._reset()
-                if n in self._own_outputs:
-                    self._own_outputs[n] = on
-                else:
-                    self._arm.set_output(n, on)
-            self._scan()
+                rises = on and not self._robot.signal("DO", n)
+                self._robot.set_signal("DO", n, on)
+                if n == _RESET_DO and rises:
+                    self._robot.reset(self._time.now_s())
 
     def read_inputs(self, address: int, count: int) -> list[bool]:
         """Return DI[address + 1] and up."""
         with self._lock:
-            return [self._arm.input(n) for n in _numbers(address, count)]
-
-    def _output(self, n: int) -> bool:
-        return self._own_outputs[n] if n in self._own_outputs else self._arm.output(n)
+            return [self._robot.signal("DI", n) for n in _numbers(address, count)]
 
     def _scan_for_ever(self) -> None:
         while not self._closing.is_set():
@@ -250,132 +418,8 @@ class ModbusController:
             self._time.sleep(_SCAN_S)
 
     def _scan(self) -> None:
-        """Let both tasks of the robot catch up with the present instant."""
-        now_s = self._time.now_s()
-        self._heartbeat_task(now_s)
-        self._motion_task(now_s)
-
-    def _heartbeat_task(self, now_s: float) -> None:
-        """SRVS_HB: count R[114]; raise the hold output when R[115] stands still."""
-        if not self.heartbeat_frozen:
-            beats = int((now_s - self._beat_at_s) / _BEAT_S)
-            self._beat = (self._beat - 1 + beats) % _COUNT_TO + 1
-            self._beat_at_s += beats * _BEAT_S
-        pc_beat = self._r.pc[1]
-        if pc_beat != self._pc_beat:
-            self._pc_beat, self._pc_beat_at_s, self._pc_frozen = pc_beat, now_s, False
-        elif not self._pc_frozen and now_s - self._pc_beat_at_s > _PC_SILENT_S:
-            self._pc_frozen = True
-            self._own_outputs[_HOLD_DO] = True
-
-    def _motion_task(self, now_s: float) -> None:
-        """SRVS: wait for a sequence number, copy, check, move, report."""
-        if self._arm.fault is not None:
-            self._alarm(_alarm_words(self._arm.fault))
-        if self._paused:
-            return
-        if self._motion is None:
-            if self._r.pc[0] != self._r.acknowledged:
-                self._motion = self._copy_command(now_s)
-                self._r.state, self._r.fault = _BUSY, 0
-            return
-        motion = self._motion
-        if not motion.started:
-            if now_s - motion.taken_at_s >= _TAKE_S:
-                self._begin(motion)
-        elif self._arm.moving:
-            if self._own_outputs[_HOLD_DO] and not motion.stop_code:
-                motion.stop_code = _STOPPED_BY_WATCHDOG if self._pc_frozen else _STOPPED
-                self._arm.stop()
-        elif self._arm.stopped_short:
-            self._finish(motion.stop_code or _STOPPED)
-        else:
-            self._finish(0)
-
-    def _copy_command(self, now_s: float) -> _Motion:
-        words = self._r.pc
-        values = struct.unpack("<8i", struct.pack("<16H", *words[3:19]))
-        return _Motion(words[0], words[2], values[:7], values[7], now_s)
-
-    def _begin(self, motion: _Motion) -> None:
-        code = self._check(motion)
-        if code:
-            self._finish(code)
-            return
-        x, y, z, w, p, r, speed = (value / 1000 for value in motion.micro)
-        target = Xyzwpr(x, y, z, w, p, r)
-        try:
-            if motion.command == _MOVE_L:
-                self._arm.start_linear(target, speed)
-            else:
-                self._arm.start_joint(target, speed)
-        except MotionRefusedError as error:
-            self._alarm(_alarm_words(str(error), _UNREACHABLE))
-            return
-        motion.started = True
-        self.motions_started += 1
-
-    def _check(self, motion: _Motion) -> int:
-        """SRVS_CHK: return the fault code, 0 where the command may be carried out."""
-        x, y, z, w, p, r, speed = motion.micro
-        low, high = _SPEED_L_UM if motion.command == _MOVE_L else _SPEED_J_MILLI
-        total = (
-            _PROTO + motion.sequence + 2 * motion.command + 3 * x + 4 * y + 5 * z + 6 * w + 7 * p + 8 * r + 9 * speed
-        )
-        checks = (
-            (_BAD_COMMAND, motion.command in {_MOVE_L, _MOVE_J}),
-            (_BAD_POSITION, max(abs(x), abs(y), abs(z)) <= _REACH_UM and max(abs(w), abs(p), abs(r)) <= _ANGLE_MDEG),
-            (_BAD_SPEED, low <= speed <= high),
-            (_BAD_SUM, total == motion.total and 1 <= motion.sequence <= _COUNT_TO),
-            (_BAD_FRAME, (self.user_frame, self.user_tool) == (1, 1)),
-            (_NO_PC, not self._pc_frozen),
-            (_HELD, not self._own_outputs[_HOLD_DO]),
-        )
-        return next((code for code, passed in checks if not passed), 0)
-
-    def _finish(self, code: int) -> None:
-        """Write the result, and the acknowledgement last."""
-        if self._motion is not None:
-            self._r.fault, self._r.state = code, _FAULT if code else _DONE
-            self._r.acknowledged = self._motion.sequence
-            self._motion = None
-
-    def _alarm(self, alarm: tuple[int, int]) -> None:
-        """A controller alarm pauses the program where it is; state and acknowledgement stay as they are."""
-        self._r.alarm = alarm
-        self._paused = True
-
-    def _reset(self) -> None:
-        """DO[4]: fault reset, abort of what is paused, start of SRVS from its first line."""
-        if self._arm.moving:
-            return
-        self._arm.reset_fault()
-        if self._arm.fault is None:
-            self._start_program()
-
-    def _start_program(self) -> None:
-        self._motion, self._paused = None, False
-        self._r.alarm = (0, 0)
-        self._r.acknowledged, self._r.state, self._r.fault = self._r.pc[0], _IDLE, 0
-
-    def _table(self) -> list[int]:
-        arm = self._arm
-        faulty = self._r.alarm != (0, 0)
-        remote = str(arm.mode) == "AUTO" and not arm.pendant_enabled
-        uo = (
-            (remote and arm.servo_on and not faulty)
-            | arm.servo_on << 1
-            | (not self._paused) << 2
-            | self._paused << 3
-            | faulty << 5
-            | arm.pendant_enabled << 7
-        )
-        mode = {"AUTO": 1, "T1": 2, "T2": 3}.get(str(arm.mode), 0)
-        head = (_PROTO, self._r.acknowledged, self._r.state, self._r.fault, self._beat, mode, uo, *self._r.alarm)
-        pose = (round(value * 1000) for value in arm.pose.as_tuple())
-        tail = (*pose, arm.override_percent, self.user_frame, self.user_tool)
-        robot = struct.unpack("<27H", struct.pack("<9H9i", *head, *tail))
-        return [*robot, 0, 0, 0, *self._r.pc]
+        """Let the robot's programs catch up with the present instant."""
+        self._robot.catch_up(self._time.now_s())
 
 
 def _numbers(address: int, count: int) -> range:
@@ -385,9 +429,9 @@ def _numbers(address: int, count: int) -> range:
     return range(address + 1, address + count + 1)
 
 
-def _alarm_words(text: str, otherwise: tuple[int, int] = _UNNAMED) -> tuple[int, int]:
+def _alarm_words(text: str) -> tuple[int, int]:
     """Return facility and number of an alarm spelt as on the pendant."""
     found = _NAMED_ALARM.search(text)
     if found is None or found[1] not in _FACILITY:
-        return otherwise
+        return _UNNAMED
     return _FACILITY[found[1]], int(found[2])

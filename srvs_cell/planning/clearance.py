@@ -7,6 +7,7 @@ d lies on the border of A + (-B), so that the signed distance of the point d to 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -78,6 +79,7 @@ def conflict_table(problem: Problem) -> ConflictTable:
     solid = [place.kind is not PlaceKind.BIN for place in problem.places]
     points = np.array([[place.x_mm, place.y_mm] for place in problem.places], dtype=np.float64).reshape(-1, 2)
     count = len(problem.places)
+    hits = _Hits(points, np.array(solid, dtype=bool))
     standable, blocked_by, grip_blocked_by = [], [], []
     for item in problem.objects:
         clear = np.ones(count, dtype=bool)
@@ -86,17 +88,14 @@ def conflict_table(problem: Problem) -> ConflictTable:
         standable.append(
             tuple(place.reachable and (bool(clear[place.id]) or not solid[place.id]) for place in problem.places)
         )
-        others = [other for other in problem.objects if other.id != item.id]
+        others = [(other.id, other.footprint) for other in problem.objects if other.id != item.id]
         masks = [0] * count
-        for other in others:
-            hit = too_close(item.footprint, other.footprint, _displacements(points), problem.clearance_mm)
-            _add_bits(masks, hit, other.id, solid)
+        for other, shape in others:
+            for place, places in hits.of(item.footprint, shape, problem.clearance_mm):
+                masks[place] |= places << (other * count)
         blocked_by.append(tuple(masks))
-        grips = [
-            _grip_masks(grip, points, solid, problem.obstacles, [(o.id, o.footprint) for o in others])
-            for grip in item.grips
-        ] or [[0] * count]
-        grip_blocked_by.append(tuple(zip(*grips, strict=True)))
+        grips = [_grip_masks(grip, points, solid, problem.obstacles, others, hits) for grip in item.grips]
+        grip_blocked_by.append(tuple(zip(*(grips or [[0] * count]), strict=True)))
     return ConflictTable(
         place_count=count,
         standable=tuple(standable),
@@ -198,26 +197,45 @@ def _radius_mm(shape: Footprint) -> float:
     return shape.radius_mm if isinstance(shape, Disc) else 0.0
 
 
-def _displacements(points: Array) -> Array:
-    """Return [p, q] = displacement of place q from place p."""
-    difference: Array = points[None, :, :] - points[:, None, :]
-    return difference
+class _Hits:
+    """Where two shapes are too close, over all pairs of places; kept per pair of shapes, because many are alike.
+
+    Bins take no part, and two objects never stand on one place: the search looks at free places only.
+    """
+
+    def __init__(self, points: Array, solid: NDArray[np.bool_]) -> None:
+        self._displacement_mm = points[None, :, :] - points[:, None, :]
+        apart = solid[:, None] & solid[None, :] & ~np.eye(len(points), dtype=bool)
+        self._distance_mm = np.where(apart, np.linalg.norm(self._displacement_mm, axis=-1), np.inf)
+        self._least_mm = float(self._distance_mm.min(initial=np.inf))
+        self._known: dict[tuple[Footprint, Footprint, float], list[tuple[int, int]]] = {}
+
+    def of(self, a: Footprint, b: Footprint, clearance_mm: float) -> list[tuple[int, int]]:
+        """Return (place of A, mask of the places where B is too close to it) wherever there is any."""
+        # Two oblongs are compared axis by axis, so that their corners may be farther apart than the clearance.
+        reach_mm = outer_radius_mm(a) + outer_radius_mm(b) + math.sqrt(2.0) * clearance_mm
+        if reach_mm < self._least_mm:
+            return []
+        known = self._known.get((a, b, clearance_mm))
+        if known is None:
+            near = np.argwhere(self._distance_mm <= reach_mm)
+            hit = too_close(a, b, self._displacement_mm[near[:, 0], near[:, 1]], clearance_mm)
+            masks: dict[int, int] = {}
+            for place, other in near[hit].tolist():
+                masks[place] = masks.get(place, 0) | 1 << other
+            known = self._known[a, b, clearance_mm] = list(masks.items())
+        return known
+
+
+@lru_cache(maxsize=1024)
+def outer_radius_mm(shape: Footprint) -> float:
+    """Return the radius of a circle round the reference point that holds the shape."""
+    return float(np.linalg.norm(_core(shape), axis=-1).max()) + _radius_mm(shape)
 
 
 def _hits_obstacle(shape: Footprint, points: Array, obstacle: Obstacle, clearance_mm: float) -> NDArray[np.bool_]:
     displacement = np.array([obstacle.x_mm, obstacle.y_mm]) - points
     return too_close(shape, obstacle.footprint, displacement, clearance_mm)
-
-
-def _add_bits(masks: list[int], hit: NDArray[np.bool_], other: int, solid: list[bool]) -> None:
-    """Add the bits of ``other`` at q to the masks of p where ``hit[p, q]``.
-
-    Bins take no part, and two objects never stand on one place: the search looks at free places only.
-    """
-    count = len(solid)
-    for p, q in np.argwhere(hit):
-        if p != q and solid[p] and solid[q]:
-            masks[p] |= 1 << (other * count + int(q))
 
 
 def _grip_masks(
@@ -226,13 +244,15 @@ def _grip_masks(
     solid: list[bool],
     obstacles: tuple[Obstacle, ...],
     others: list[tuple[int, Footprint]],
+    hits: _Hits,
 ) -> list[int]:
     masks = [0] * len(points)
     for finger in finger_polygons(grip):
         for other, shape in others:
-            _add_bits(masks, too_close(finger, shape, _displacements(points), 0.0), other, solid)
+            for place, places in hits.of(finger, shape, 0.0):
+                masks[place] |= places << (other * len(points))
         for obstacle in obstacles:
-            for place in np.flatnonzero(_hits_obstacle(finger, points, obstacle, 0.0)):
+            for place in np.flatnonzero(_hits_obstacle(finger, points, obstacle, 0.0)).tolist():
                 if solid[place]:
                     masks[place] = NEVER
     return masks

@@ -13,16 +13,19 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from srvs_cell.planning.travel import HOME
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from srvs_cell.planning.moves import Arrangement, Step
     from srvs_cell.planning.travel import Distances
 
-_WALK = -1
-"""Cycle number of the tokens that belong to no detour: home, free place, home."""
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 _GAIN_MM = 1e-9
 
@@ -32,25 +35,39 @@ _MOST_CYCLES_IN_PAIRS = 12
 _MOST_FIRST_MOVERS = 16
 """With more displaced objects the walk is built once only."""
 
-
-@dataclass(frozen=True)
-class _Token:
-    """A place on the hole's walk and the cycle whose detour leads there."""
-
-    place: int
-    cycle: int
-
-
-Walk = list[_Token]
+_UNWINDING = HOME
+"""Cycle number of the walk's own tokens: home, free place, home."""
 
 
 @dataclass(frozen=True)
-class _Cycle:
-    """Places in the order in which the hole runs through them, and the lengths of the closed round."""
+class _Walk:
+    """The places of the hole's walk, from `HOME` to `HOME`, and per place the cycle whose detour leads there."""
 
-    places: tuple[int, ...]
-    loaded_mm: float
-    empty_mm: float
+    places: Indices
+    cycles: Indices
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """Every way to run round every cycle: one row for each place at which a cycle may be entered.
+
+    Attributes:
+        cycle: number of the cycle.
+        first, second, last_but_one, last: places in the order of the round.
+        inner_mm: what the round costs wherever it is inserted.
+    """
+
+    cycle: Indices
+    first: Indices
+    second: Indices
+    last_but_one: Indices
+    last: Indices
+    inner_mm: Array
+
+    def of(self, numbers: Iterable[int]) -> _Entries:
+        """Return the rows of some cycles only."""
+        rows = np.isin(self.cycle, list(numbers))
+        return _Entries(*(column[rows] for column in vars(self).values()))
 
 
 def nested_detours(start: Arrangement, target: Arrangement, free: Iterable[int], legs: Distances) -> tuple[Step, ...]:
@@ -62,16 +79,17 @@ def nested_detours(start: Arrangement, target: Arrangement, free: Iterable[int],
         free: places that are empty; each is tried as the hole's home.
         legs: distances.
     """
-    cycles = [_cycle(places, legs) for places in _cycles(start, target)]
-    if not cycles:
+    rounds = cycles_between(start, target)
+    if not rounds:
         return ()
-    walks = [_improved(walk, cycles, legs) for place in free for walk in _built(place, cycles, legs)]
-    best = min(walks, key=lambda walk: _length_mm(walk, legs))
-    return _steps(best, start)
+    builder = _Builder(rounds, legs)
+    walks = [builder.improved(walk) for place in free for walk in builder.built(place)]
+    best = min(walks, key=builder.length_mm)
+    return steps_of_walk(best.places[1:-1].tolist(), start)
 
 
-def _cycles(start: Arrangement, target: Arrangement) -> list[tuple[int, ...]]:
-    """Return the cycles: behind each place the place from which its object comes."""
+def cycles_between(start: Arrangement, target: Arrangement) -> list[tuple[int, ...]]:
+    """Return the cycles of the places: behind each place the place from which its object comes."""
     comes_from = {end: begin for begin, end in zip(start, target, strict=True) if begin != end}
     cycles = []
     while comes_from:
@@ -85,111 +103,116 @@ def _cycles(start: Arrangement, target: Arrangement) -> list[tuple[int, ...]]:
     return cycles
 
 
-def _leg_mm(a: int, b: int, legs: Distances) -> float:
-    if b == HOME:
-        a, b = b, a
-    return 0.0 if b == HOME else legs.leg_mm(a, b)
-
-
-def _cycle(places: tuple[int, ...], legs: Distances) -> _Cycle:
-    count = len(places)
-    return _Cycle(
-        places,
-        sum(legs.between_mm[places[i]][places[(i + 1) % count]] for i in range(count)),
-        sum(legs.between_mm[places[i]][places[(i + 2) % count]] for i in range(count)),
-    )
-
-
-def _insertion_mm(walk: Walk, index: int, cycle: _Cycle, entry: int, legs: Distances) -> float:
-    """Return what a detour round a cycle costs where the hole stands at ``walk[index]``."""
-    places, count = cycle.places, len(cycle.places)
-    first, second = places[entry], places[(entry + 1) % count]
-    last, last_but_one = places[entry - 1], places[entry - 2]
-    hole, before, behind = walk[index].place, walk[index - 1].place, walk[index + 1].place
-    between = legs.between_mm
-    loaded_mm = cycle.loaded_mm - between[last][first] + between[hole][first] + between[last][hole]
-    inner_mm = cycle.empty_mm - between[last_but_one][first] - between[last][second]
-    joints_mm = between[hole][second] + between[last_but_one][hole]
-    outer_mm = _leg_mm(before, first, legs) + _leg_mm(last, behind, legs) - _leg_mm(before, behind, legs)
-    return loaded_mm + inner_mm + joints_mm + outer_mm
-
-
-def _with_cheapest(walk: Walk, numbers: Iterable[int], cycles: list[_Cycle], legs: Distances) -> Walk:
-    """Insert cycles, the cheapest insertion first."""
-    waiting = set(numbers)
-    while waiting:
-        _, number, index, entry = min(
-            (_insertion_mm(walk, index, cycles[number], entry, legs), number, index, entry)
-            for number in waiting
-            for index in range(1, len(walk) - 1)
-            for entry in range(len(cycles[number].places))
-        )
-        walk = _with_detour(walk, index, number, cycles[number], entry)
-        waiting.remove(number)
-    return walk
-
-
-def _with_detour(walk: Walk, index: int, number: int, cycle: _Cycle, entry: int) -> Walk:
-    """Insert the detour round a cycle where the hole stands at ``walk[index]``."""
-    around = (*cycle.places[entry:], *cycle.places[:entry], walk[index].place)
-    return walk[: index + 1] + [_Token(place, number) for place in around] + walk[index + 1 :]
-
-
-def _built(free_place: int, cycles: list[_Cycle], legs: Distances) -> list[Walk]:
-    """Return walks by cheapest insertion: one, and while they are few one for each object that could be moved first."""
-    bare = [_Token(HOME, _WALK), _Token(free_place, _WALK), _Token(HOME, _WALK)]
-    numbers = range(len(cycles))
-    walks = [_with_cheapest(bare, numbers, cycles, legs)]
-    if sum(len(cycle.places) for cycle in cycles) > _MOST_FIRST_MOVERS:
-        return walks
-    for number in numbers:
-        others = [other for other in numbers if other != number]
-        for entry in range(len(cycles[number].places)):
-            opened = _with_detour(bare, 1, number, cycles[number], entry)
-            walks.append(_with_cheapest(opened, others, cycles, legs))
-    return walks
-
-
-def _without(walk: Walk, number: int) -> Walk:
-    """Take out the detour of a cycle, with all that is nested in it."""
-    inside = [index for index, token in enumerate(walk) if token.cycle == number]
-    return walk[: inside[0]] + walk[inside[-1] + 1 :] if inside else walk
-
-
-def _improved(walk: Walk, cycles: list[_Cycle], legs: Distances) -> Walk:
-    numbers = range(len(cycles))
-    groups: list[tuple[int, ...]] = [(number,) for number in numbers]
-    if len(cycles) <= _MOST_CYCLES_IN_PAIRS:
-        groups += combinations(numbers, 2)
-    length_mm = _length_mm(walk, legs)
-    improving = True
-    while improving:
-        improving = False
-        for group in groups:
-            rest = walk
-            for number in group:
-                rest = _without(rest, number)
-            kept = {token.cycle for token in rest}
-            again = _with_cheapest(rest, [number for number in numbers if number not in kept], cycles, legs)
-            again_mm = _length_mm(again, legs)
-            if again_mm < length_mm - _GAIN_MM:
-                walk, length_mm, improving = again, again_mm, True
-    return walk
-
-
-def _length_mm(walk: Walk, legs: Distances) -> float:
-    """Return the travel of a walk: loaded legs between neighbours, empty legs between next neighbours."""
-    places = [token.place for token in walk]
-    loaded_mm = sum(legs.between_mm[a][b] for a, b in pairwise(places[1:-1]))
-    return loaded_mm + sum(_leg_mm(a, b, legs) for a, b in zip(places[:-2], places[2:], strict=True))
-
-
-def _steps(walk: Walk, start: Arrangement) -> tuple[Step, ...]:
+def steps_of_walk(places: Sequence[int], start: Arrangement) -> tuple[Step, ...]:
+    """Return the moves of a hole's walk: each brings the object of the next place to where the hole stands."""
     holds = {place: item for item, place in enumerate(start)}
     steps: list[Step] = []
-    places = [token.place for token in walk[1:-1]]
     for hole, origin in pairwise(places):
         item = holds.pop(origin)
         holds[hole] = item
         steps.append((item, origin, hole))
     return tuple(steps)
+
+
+class _Builder:
+    """Builds and improves walks over given cycles."""
+
+    def __init__(self, cycles: list[tuple[int, ...]], legs: Distances) -> None:
+        self._cycles = [np.array(places) for places in cycles]
+        # One more row and column for home, which `HOME` = -1 indexes.
+        count = len(legs.home_mm)
+        self._mm = np.zeros((count + 1, count + 1))
+        self._mm[:count, :count] = legs.between_mm
+        self._mm[:count, count] = self._mm[count, :count] = legs.home_mm
+        columns = [[np.roll(places, -shift) for places in self._cycles] for shift in (0, 1, -2, -1)]
+        first, second, last_but_one, last = (np.concatenate(parts) for parts in columns)
+        number = np.repeat(np.arange(len(cycles)), [len(places) for places in cycles])
+        step_mm = self._mm[first, second]
+        skip_mm = self._mm[first, np.concatenate([np.roll(places, -2) for places in self._cycles])]
+        round_mm = (np.bincount(number, step_mm) + np.bincount(number, skip_mm))[number]
+        closing_mm = self._mm[last, first] + self._mm[last_but_one, first] + self._mm[last, second]
+        self._entries = _Entries(number, first, second, last_but_one, last, round_mm - closing_mm)
+
+    def length_mm(self, walk: _Walk) -> float:
+        """Return the travel of a walk: loaded legs between neighbours, empty legs between next neighbours."""
+        places = walk.places
+        return float(self._mm[places[1:-2], places[2:-1]].sum() + self._mm[places[:-2], places[2:]].sum())
+
+    def built(self, free_place: int) -> list[_Walk]:
+        """Return walks by cheapest insertion: one, and while objects are few one for each that could move first."""
+        bare = _Walk(np.array([HOME, free_place, HOME]), np.full(3, _UNWINDING))
+        numbers = range(len(self._cycles))
+        walks = [self._with_cheapest(bare, numbers)]
+        if len(self._entries.cycle) > _MOST_FIRST_MOVERS:
+            return walks
+        for row, number in enumerate(self._entries.cycle.tolist()):
+            opened = self._with_detour(bare, 1, self._entries, row)
+            walks.append(self._with_cheapest(opened, [other for other in numbers if other != number]))
+        return walks
+
+    def improved(self, walk: _Walk) -> _Walk:
+        """Take cycles out, with all that is nested in them, and insert them again, as long as that helps."""
+        numbers = range(len(self._cycles))
+        groups: list[tuple[int, ...]] = [(number,) for number in numbers]
+        if len(numbers) <= _MOST_CYCLES_IN_PAIRS:
+            groups += combinations(numbers, 2)
+        length_mm = self.length_mm(walk)
+        tried_in_vain = 0
+        while tried_in_vain < len(groups):
+            group = groups[0]
+            groups = [*groups[1:], group]
+            rest = walk
+            for number in group:
+                rest = _without(rest, number)
+            again = self._with_cheapest(rest, set(numbers).difference(rest.cycles.tolist()))
+            again_mm = self.length_mm(again)
+            tried_in_vain += 1
+            if again_mm < length_mm - _GAIN_MM:
+                walk, length_mm, tried_in_vain = again, again_mm, 0
+        return walk
+
+    def _insertion_mm(self, places: Indices, indices: Indices, entries: _Entries) -> Array:
+        """Return [entry, index] = what a detour costs where the hole stands at ``places[index]``."""
+        mm = self._mm
+        hole, before, behind = places[indices], places[indices - 1], places[indices + 1]
+        column = (entries.first[:, None], entries.second[:, None], entries.last_but_one[:, None], entries.last[:, None])
+        first, second, last_but_one, last = column
+        hole_mm = mm[first, hole] + mm[last, hole] + mm[second, hole] + mm[last_but_one, hole]
+        outer_mm = mm[first, before] + mm[last, behind] - mm[before, behind]
+        cost_mm: Array = hole_mm + outer_mm + entries.inner_mm[:, None]
+        return cost_mm
+
+    def _with_cheapest(self, walk: _Walk, numbers: Iterable[int]) -> _Walk:
+        """Insert cycles, the cheapest insertion first; only the costs that an insertion changes are computed again."""
+        entries = self._entries.of(numbers)
+        cost_mm = self._insertion_mm(walk.places, np.arange(1, len(walk.places) - 1), entries)
+        while len(entries.cycle):
+            row, column = divmod(int(cost_mm.argmin()), cost_mm.shape[1])
+            number, index = int(entries.cycle[row]), column + 1
+            walk = self._with_detour(walk, index, entries, row)
+            kept = entries.cycle != number
+            entries = _Entries(*(values[kept] for values in vars(entries).values()))
+            fresh = np.arange(index, index + len(self._cycles[number]) + 2)
+            fresh_mm = self._insertion_mm(walk.places, fresh, entries)
+            cost_mm = np.concatenate([cost_mm[kept, :column], fresh_mm, cost_mm[kept, column + 1 :]], axis=1)
+        return walk
+
+    def _with_detour(self, walk: _Walk, index: int, entries: _Entries, row: int) -> _Walk:
+        """Insert the detour of an entry where the hole stands at ``places[index]``."""
+        number = int(entries.cycle[row])
+        cycle = self._cycles[number]
+        turn = int(np.flatnonzero(cycle == entries.first[row])[0])
+        around = np.concatenate([cycle[turn:], cycle[:turn], walk.places[index : index + 1]])
+        return _Walk(
+            np.concatenate([walk.places[: index + 1], around, walk.places[index + 1 :]]),
+            np.concatenate([walk.cycles[: index + 1], np.full(len(around), number), walk.cycles[index + 1 :]]),
+        )
+
+
+def _without(walk: _Walk, number: int) -> _Walk:
+    """Take out the detour of a cycle, with all that is nested in it."""
+    inside = np.flatnonzero(walk.cycles == number)
+    if not len(inside):
+        return walk
+    rest = np.r_[: inside[0], inside[-1] + 1 : len(walk.cycles)]
+    return _Walk(walk.places[rest], walk.cycles[rest])

@@ -69,6 +69,13 @@ class GoalRule:
         """Return the objects that do not stand on an allowed place."""
         return [item for item, place in enumerate(arrangement) if not self.allowed[item] >> place & 1]
 
+    @property
+    def labelled(self) -> tuple[int, ...] | None:
+        """The place of each object where the goal leaves no choice, else None."""
+        if any(mask.bit_count() != 1 for mask in self.allowed):
+            return None
+        return tuple(mask.bit_length() - 1 for mask in self.allowed)
+
     def lower_bound(self, arrangement: tuple[int, ...]) -> int:
         """Return a proven lower bound on the moves from an arrangement to the goal.
 

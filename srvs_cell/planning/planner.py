@@ -6,12 +6,15 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from srvs_cell.planning.clearance import conflict_table
-from srvs_cell.planning.detours import nested_detours
+from srvs_cell.planning.detours import cycles_between, nested_detours, steps_of_walk
 from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.hole_walk import shortest_walk
 from srvs_cell.planning.moves import after, fewest_moves
+from srvs_cell.planning.ordering import order_moves
 from srvs_cell.planning.parameters import SearchLimits
 from srvs_cell.planning.reasons import infeasible_reasons
 from srvs_cell.planning.travel import distances, least_travel, travel_mm
+from srvs_cell.planning.walk_bound import hole_costs
 from srvs_cell.scene import Move, PlanStatus, RelocationPlan
 
 if TYPE_CHECKING:
@@ -27,6 +30,11 @@ GREEDY_WEIGHT = 3.0
 GREEDY_TRAVEL_WEIGHT = 2.0
 """The same for the search for the least travel."""
 
+_MOST_IN_SEARCH = 12
+"""With more objects the fewest moves are found by who must leave before whom, where that is possible."""
+
+_MANY_OBJECTS = f"the least travel is not searched for with more than {_MOST_IN_SEARCH} objects in each other's way"
+
 
 def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan:
     """Plan a relocation: the fewest moves, and among those plans the least travel.
@@ -40,9 +48,20 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
         the cause for each object. ``not_proven`` without moves means that no plan was found within the caps.
     """
     limits = limits or SearchLimits()
-    table, rule, legs = conflict_table(problem), goal_rule(problem), distances(problem)
+    rule, legs = goal_rule(problem), distances(problem)
     start = tuple(item.start for item in problem.objects)
+    target = rule.labelled
+    changing_places = target is not None and start != target and set(start) == set(target)
     bound_mm = _travel_bound_mm(start, rule, legs)
+    if target is not None and not changing_places and len(start) > _MOST_IN_SEARCH:
+        ordering = order_moves(problem, start, target, legs)
+        if ordering is not None and ordering.steps is not None:
+            return _unproven(ordering.steps, legs, ordering.bound, bound_mm, (_MANY_OBJECTS,))
+    table = conflict_table(problem)
+    if target is not None and changing_places and table.nothing_in_the_way:
+        free = [place for place in range(table.place_count) if place not in start]
+        if free:
+            return _permutation(start, target, free, table, rule, legs, limits)
     found = fewest_moves(start, table, rule, limits.max_moves_search)
     if found.steps is None and not found.proven:
         greedy = fewest_moves(start, table, rule, limits.max_moves_search, GREEDY_WEIGHT)
@@ -63,10 +82,16 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
         )
     search = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_search)
     if search.steps is None:
-        capped = f"the search for the least travel ended at its cap of {limits.max_travel_search} moves tried"
         short = _short_plan(start, found.steps, table, rule, legs, limits)
-        return _unproven(short, legs, found.bound, search.bound_mm, (capped,))
-    steps = search.steps
+        return _unproven(short, legs, found.bound, search.bound_mm, (_travel_capped(limits),))
+    return _solved(search.steps, legs)
+
+
+def _travel_capped(limits: SearchLimits) -> str:
+    return f"the search for the least travel ended at its cap of {limits.max_travel_search} moves tried"
+
+
+def _solved(steps: tuple[Step, ...], legs: Distances) -> RelocationPlan:
     total_mm = travel_mm(steps, legs)
     return RelocationPlan(
         status=PlanStatus.SOLVED,
@@ -77,6 +102,33 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
         bound_moves=len(steps),
         bound_travel_mm=total_mm,
     )
+
+
+def _permutation(
+    start: Arrangement,
+    target: Arrangement,
+    free: list[int],
+    table: ConflictTable,
+    rule: GoalRule,
+    legs: Distances,
+    limits: SearchLimits,
+) -> RelocationPlan:
+    """Plan where nothing is in the way and the objects only change places: the fewest moves are known beforehand."""
+    steps = nested_detours(start, target, free, legs)
+    found_mm = travel_mm(steps, legs)
+    shorter: tuple[Step, ...] | None = None
+    if len(free) == 1:
+        costs = hole_costs(cycles_between(start, target), free[0], legs)
+        walk = shortest_walk(costs, found_mm, limits.max_travel_search)
+        bound_mm = walk.bound_mm
+        if walk.places is not None:
+            shorter = steps_of_walk(walk.places, start)
+    else:
+        search = least_travel(start, len(steps), table, rule, legs, limits.max_travel_search)
+        bound_mm, shorter = search.bound_mm, search.steps
+    if shorter is not None:
+        return _solved(shorter, legs)
+    return _unproven(steps, legs, len(steps), min(bound_mm, found_mm), (_travel_capped(limits),))
 
 
 def _short_plan(
@@ -117,18 +169,23 @@ def _unproven(
 
 
 def _travel_bound_mm(start: Arrangement, rule: GoalRule, legs: Distances) -> float:
-    """Return a lower bound on the travel of any plan: every misplaced object is carried at least to its goal.
+    """Return a lower bound on the travel of any plan.
 
-    Together with the shortest legs from home to a first object and from a last place back home.
+    Every misplaced object is carried at least to its goal, the hand comes to it from another place or from home, and
+    in the end the hand goes home.
     """
     wrong = rule.misplaced(start)
     if not wrong:
         return 0.0
-    goals = {item: [place for place in range(len(legs.home_mm)) if rule.allowed[item] >> place & 1] for item in wrong}
-    loaded_mm = sum(min(legs.between_mm[start[item]][place] for place in goals[item]) for item in wrong)
-    first_mm = min(legs.home_mm[place] for place in start)
-    last_mm = min(legs.home_mm)
-    return math.fsum((loaded_mm, first_mm, last_mm))
+    places = range(len(legs.home_mm))
+    parts = [min(legs.home_mm)]
+    for item in wrong:
+        origin = start[item]
+        parts += [
+            min((legs.between_mm[origin][place] for place in places if rule.allowed[item] >> place & 1), default=0.0),
+            min([legs.home_mm[origin], *(legs.between_mm[place][origin] for place in places if place != origin)]),
+        ]
+    return math.fsum(parts)
 
 
 def has_plan(answer: RelocationPlan) -> bool:

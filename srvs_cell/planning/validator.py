@@ -39,15 +39,57 @@ def validate(problem: Problem, plan_moves: Sequence[Move]) -> list[str]:
         lines such as ``move 3: occupied (place 2 holds object 1)``.
     """
     stands = [item.start for item in problem.objects]
+    table = _Table(problem)
     for number, move in enumerate(plan_moves, start=1):
-        reason = _wrong_move(problem, stands, move)
+        reason = _wrong_move(problem, stands, table, move)
         if reason:
             return [f"move {number}: {reason}"]
         stands[move.object] = move.to_place
+        table.moved(move)
     return [f"goal_not_reached ({what})" for what in _unmet_goals(problem, stands)]
 
 
-def _wrong_move(problem: Problem, stands: list[int], move: Move) -> str:
+class _Table:
+    """Who stands near a place: squares of the table as wide as any object and its fingers reach."""
+
+    def __init__(self, problem: Problem) -> None:
+        radius_mm = max((_radius_mm(item) for item in problem.objects), default=0.0)
+        # Twice over, for two objects; a square's corner is farther from its middle than its side.
+        side_mm = 2.0 * (2.0 * radius_mm + problem.clearance_mm) + 1.0
+        self._squares = [(math.floor(p.x_mm / side_mm), math.floor(p.y_mm / side_mm)) for p in problem.places]
+        self._bins = [place.kind is PlaceKind.BIN for place in problem.places]
+        self._on: dict[tuple[int, int], set[int]] = {}
+        for item in problem.objects:
+            self._put(item.id, item.start)
+
+    def moved(self, move: Move) -> None:
+        """Note a move."""
+        self._on[self._squares[move.from_place]].discard(move.object)
+        self._put(move.object, move.to_place)
+
+    def near(self, *places: int) -> list[int]:
+        """Return the objects in the squares of some places and in those around them; bins hold nobody."""
+        found: set[int] = set()
+        for place in places:
+            column, row = self._squares[place]
+            for x in (column - 1, column, column + 1):
+                for y in (row - 1, row, row + 1):
+                    found |= self._on.get((x, y), set())
+        return sorted(found)
+
+    def _put(self, item: int, place: int) -> None:
+        if not self._bins[place]:
+            self._on.setdefault(self._squares[place], set()).add(item)
+
+
+def _radius_mm(item: ProblemObject) -> float:
+    """Return the radius of a circle round the reference point that holds an object and its fingers."""
+    corners, round_mm = _corners(item.footprint, 0.0, 0.0)
+    fingers = [point for grip in item.grips for finger in _fingers(grip) for point in finger.vertices_mm]
+    return max(*(math.hypot(x, y) + round_mm for x, y in corners), *(math.hypot(x, y) for x, y in fingers), 0.0)
+
+
+def _wrong_move(problem: Problem, stands: list[int], table: _Table, move: Move) -> str:
     if not 0 <= move.object < len(problem.objects):
         return f"bad_object (there is no object {move.object})"
     for place_id in (move.from_place, move.to_place):
@@ -65,9 +107,9 @@ def _wrong_move(problem: Problem, stands: list[int], move: Move) -> str:
     if not target.reachable:
         return f"unreachable_place (place {target.id})"
     others = [
-        (item, problem.places[stands[item.id]])
-        for item in problem.objects
-        if item.id != move.object and problem.places[stands[item.id]].kind is not PlaceKind.BIN
+        (problem.objects[number], problem.places[stands[number]])
+        for number in table.near(origin.id, target.id)
+        if number != move.object
     ]
     item = problem.objects[move.object]
     if target.kind is not PlaceKind.BIN:
@@ -121,6 +163,8 @@ def _near(a: Footprint, a_at: Place, b: Footprint, b_at: Place | Obstacle, clear
         gap_x = abs(dx) - a.half_x_mm - b.half_x_mm
         gap_y = abs(dy) - a.half_y_mm - b.half_y_mm
         return gap_x < clearance_mm - _TOUCH_MM and gap_y < clearance_mm - _TOUCH_MM
+    if isinstance(a, Disc) and isinstance(b, Disc):
+        return math.hypot(dx, dy) - a.radius_mm - b.radius_mm < clearance_mm - _TOUCH_MM
     (corners_a, round_a), (corners_b, round_b) = _corners(a, 0.0, 0.0), _corners(b, dx, dy)
     return _gap_mm(corners_a, corners_b) - round_a - round_b < clearance_mm - _TOUCH_MM
 

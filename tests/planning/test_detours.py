@@ -48,7 +48,7 @@ def test_nothing_to_do_is_no_walk() -> None:
 
 def test_many_objects_get_a_valid_plan_whose_moves_are_proven() -> None:
     problem = scattered(30, 5)
-    answer = plan(problem, SearchLimits(max_travel_search=2000))
+    answer = plan(problem, SearchLimits(max_travel_search=20))
     assert answer.status is PlanStatus.NOT_PROVEN
     assert answer.moves_proven
     assert validate(problem, answer.moves) == []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from srvs_cell.geometry import Transform
 from srvs_cell.ports import DriverContext
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -78,8 +78,15 @@ def simulated_camera(folder: Path) -> Iterator[tuple[Camera, SimClock, CameraStr
         time.close()
 
 
+class _Controller(Protocol):
+    def start(self) -> int: ...
+    def close(self) -> None: ...
+
+
 @contextlib.contextmanager
-def simulated_arm(folder: Path) -> Iterator[tuple[int, SimClock, SimArm]]:
+def simulated_arm(
+    folder: Path, make_controller: Callable[[SimArm, SimTime], _Controller] = ModbusController
+) -> Iterator[tuple[int, SimClock, SimArm]]:
     """The physical arm behind the controller double; yields its port."""
     page = ClockPage.create(folder / "clock")
     gripper = GripperGeometry()
@@ -94,7 +101,7 @@ def simulated_arm(folder: Path) -> Iterator[tuple[int, SimClock, SimArm]]:
     time = SimTime(step, page, 20.0)
     kinematics = Kinematics(gripper.flange_to_tcp_mm)
     arm = SimArm(time, world, kinematics, OBSERVE_POSE, Repeatability(), np.random.default_rng(0))
-    controller = ModbusController(arm, time)
+    controller = make_controller(arm, time)
     time.start()
     try:
         yield controller.start(), SimClock(folder / "clock"), arm

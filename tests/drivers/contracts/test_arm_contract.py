@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from drivers.fanuc.modbus import FanucModbusArm, FanucModbusConfig
+from drivers.fanuc.rmi import FanucRmiArm, FanucRmiConfig
 from drivers.sim.doubles import FakeArm, StepClock, World
+from drivers.sim.rmi_controller import RmiController
 from srvs_cell.geometry import Transform, Xyzwpr, pose_difference
 from srvs_cell.ports import (
     Clock,
@@ -23,6 +25,7 @@ from srvs_cell.ports import (
 )
 from tests.drivers.contracts.simulated import simulated_arm
 from tests.drivers.fanuc.bench import HOME, MID_MOVE_S, PATIENT_S, SPEED_MM_S, TARGET, bench
+from tests.drivers.fanuc.rmi_bench import rmi_bench
 
 
 @dataclass
@@ -79,13 +82,32 @@ async def fanuc_to_the_simulated_arm(folder: Path) -> AsyncIterator[ArmBench]:
 
 
 @contextlib.asynccontextmanager
+async def rmi_to_a_point(_folder: Path) -> AsyncIterator[ArmBench]:
+    async with rmi_bench() as b:
+        yield ArmBench(b.arm, b.clock, lambda: b.point.pose)
+
+
+@contextlib.asynccontextmanager
+async def rmi_to_the_simulated_arm(folder: Path) -> AsyncIterator[ArmBench]:
+    with simulated_arm(folder, RmiController) as (port, clock, simulated):
+        arm = FanucRmiArm(FanucRmiConfig(port=port, timeout_s=PATIENT_S), clock)
+        try:
+            yield ArmBench(arm, clock, lambda: simulated.pose, simulated.pose)
+        finally:
+            await arm.disconnect()
+
+
+_BENCHES = [fanuc_to_a_point, fanuc_to_the_simulated_arm, rmi_to_a_point, rmi_to_the_simulated_arm]
+
+
+@contextlib.asynccontextmanager
 async def fake(_folder: Path) -> AsyncIterator[ArmBench]:
     clock = StepClock()
     arm = FakeArm(clock, World([]), HOME)
     yield ArmBench(arm, clock, lambda: arm.pose)
 
 
-@pytest.fixture(params=[fanuc_to_a_point, fanuc_to_the_simulated_arm, fake], ids=lambda make: make.__name__)
+@pytest.fixture(params=[*_BENCHES, fake], ids=lambda make: make.__name__)
 async def b(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[ArmBench]:
     async with request.param(tmp_path) as made:
         yield made

@@ -11,6 +11,7 @@ from drivers.sim.doubles import Block, FakeArm, FakeGripper, StepClock, World
 from srvs_cell.geometry import Xyzwpr
 from srvs_cell.ports import Clock, Gripper, GripState, Lifecycle, NotReadyError, OutcomeUnknownError
 from tests.drivers.fanuc.bench import bench
+from tests.drivers.fanuc.rmi_bench import rmi_bench
 from tests.drivers.gripper.valve import CONFIG, Valve
 from tests.drivers.stepped import PointArm, SteppedClock, SteppedTime
 
@@ -68,6 +69,18 @@ async def robot_io_over_modbus() -> AsyncIterator[GripperBench]:
 
 
 @contextlib.asynccontextmanager
+async def robot_io_over_rmi() -> AsyncIterator[GripperBench]:
+    async with rmi_bench(make_point=_GrippingArm) as b:
+        await b.arm.connect()
+        yield GripperBench(
+            RobotIoGripper(RobotIoGripperConfig(), b.clock, b.arm),
+            b.clock,
+            lambda: setattr(b.point, "part", True),
+            lambda: setattr(b.point, "broken", True),
+        )
+
+
+@contextlib.asynccontextmanager
 async def fake() -> AsyncIterator[GripperBench]:
     clock = StepClock()
     world = World([])
@@ -80,7 +93,7 @@ async def fake() -> AsyncIterator[GripperBench]:
     )
 
 
-@pytest.fixture(params=[robot_io, robot_io_over_modbus, fake], ids=lambda make: make.__name__)
+@pytest.fixture(params=[robot_io, robot_io_over_modbus, robot_io_over_rmi, fake], ids=lambda make: make.__name__)
 async def b(request: pytest.FixtureRequest) -> AsyncIterator[GripperBench]:
     async with request.param() as made:
         yield made

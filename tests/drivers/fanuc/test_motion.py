@@ -18,6 +18,9 @@ from srvs_cell.ports import (
 )
 from tests.drivers.fanuc.bench import HOME, SPEED_MM_S, TARGET, bench
 
+MODE_SHOWS_S = 0.3
+"""SRVS_HB writes the mode with every beat."""
+
 
 async def test_a_linear_move_takes_its_time_and_reports_the_pose_reached() -> None:
     async with bench() as b:
@@ -216,6 +219,7 @@ async def test_a_move_that_never_ends_is_unknown_and_stopped() -> None:
             await task
         assert unknown.value.alarm is Alarm.MOTION_OUTCOME_UNKNOWN
         assert "not finished after" in unknown.value.detail
+        await b.clock.sleep(0.1)
         assert not b.point.moving
         assert b.controller.motions_started == 1
 
@@ -248,13 +252,16 @@ async def test_a_robot_that_is_not_ready_is_not_activated_and_not_moved(
         await b.arm.deactivate()
         before = getattr(b.point, condition)
         setattr(b.point, condition, value)
+        await b.clock.sleep(MODE_SHOWS_S)
         with pytest.raises(NotReadyError) as refused:
             await b.arm.activate()
         assert refused.value.alarm is alarm
         setattr(b.point, condition, before)
+        await b.clock.sleep(MODE_SHOWS_S)
         await b.arm.reset_fault()
         await b.arm.activate()
         setattr(b.point, condition, value)
+        await b.clock.sleep(MODE_SHOWS_S)
         with pytest.raises(NotReadyError) as refused:
             await b.arm.move_linear(TARGET, SPEED_MM_S)
         assert refused.value.alarm is alarm

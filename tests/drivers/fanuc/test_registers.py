@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.fanuc import registers
 from drivers.fanuc.registers import Command, FaultCode, Snapshot, State, UopOutput
-from drivers.sim import modbus_controller as double
+from drivers.sim.tp import shipped_sources
 from srvs_cell.geometry import Xyzwpr
 from srvs_cell.ports import PortError, RobotMode
 
@@ -135,6 +135,15 @@ def test_the_assignment_table_covers_every_word_once() -> None:
     assert sorted(covered + unassigned) == list(range(12001, 12050))
 
 
-def test_the_page_the_driver_and_the_double_name_the_same_version() -> None:
-    assert {registers.PROTOCOL, double._PROTO} == {4201}
+def test_the_page_and_the_command_file_assign_the_same_words() -> None:
+    rows = re.findall(r"^\| (\d+) \| (12\d+) \| (\d+) \| `([^`]+)`[^|]*\| (\d+) \|", PAGE, re.MULTILINE)
+    fields = ("$ADDRESS", "$SIZE", "$VAR_NAME", "$MULTIPLY")
+    page = {(row[0], name): value for row in rows for name, value in zip(fields, row[1:], strict=True)}
+    lines = re.findall(r'^SETVAR \$SNPX_ASG\[(\d+)\]\.(\S+) "?([^"\n]+)"?$', shipped_sources()["SRVS.CF"], re.MULTILINE)
+    assert {(number, name): value for number, name, value in lines} == page
+
+
+def test_the_page_the_driver_and_the_robots_program_name_the_same_version() -> None:
+    assert registers.PROTOCOL == 4201
+    assert "R[100:SRVS PROTO]=4201 ;" in shipped_sources()["SRVS.LS"]
     assert "Protocol version **4201**" in PAGE
