@@ -100,11 +100,12 @@ def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableRefer
     background = cv2.blur(steady, window) / np.maximum(cv2.blur(calm, window), np.float32(_LEAST_CALM))
     difference = np.asarray(np.where(valid, difference - background, 0.0), dtype=np.float32)
     noise = max(1.4826 * float(np.median(np.abs(difference[valid]))), 0.05) if valid.any() else 1.0
-    slope = [cv2.Sobel(left, cv2.CV_32F, *order, ksize=3) / _SOBEL for order in ((1, 0), (0, 1))]
+    slopes = [np.square(cv2.Sobel(left, cv2.CV_32F, *order, ksize=3) / _SOBEL) for order in ((1, 0), (0, 1))]
+    steep: NDArray[np.float32] = np.asarray(slopes[0] + slopes[1], dtype=np.float32)
     near = (_WINDOW_PX, _WINDOW_PX)
     squared: NDArray[np.float32] = np.square(difference)
     energy = cv2.blur(squared, near)
-    allowed = _NOISE_FACTOR * noise**2 + _SLACK_PX**2 * cv2.blur(slope[0] ** 2 + slope[1] ** 2, near)
+    allowed = _NOISE_FACTOR * noise**2 + _SLACK_PX**2 * cv2.blur(steep, near)
     return Relief(difference, (energy > allowed) & valid, noise, valid)
 
 

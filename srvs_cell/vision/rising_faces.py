@@ -17,7 +17,7 @@ from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
 from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _HEIGHTS = 8
 _KEPT_HEIGHTS = 3
+_INCLINED_STRIDE = 2
+"""Inclined faces reach over more heights than level ones: every second one is enough for them."""
 _MARGIN_PX = 3
 _SMOOTHING_PX = 1.2
 _BLACK = 4.0
@@ -41,10 +43,16 @@ _MOST_OF_OUTLINE = 1.5
 _BEST = 4
 _BEST_OF_KIND = 2
 _START_SLOPE = 0.36
+_GENTLE_SLOPE = 0.2
+_LEAST_INCLINATION_DEG = 5.0
 _SIDES = 4
 _CORNERS = 3
 _UP = np.array([0.0, 0.0, 1.0])
 _INCLINED_GAIN = 0.7
+"""An inclined face has one parameter more: it must fit better by this factor."""
+_STEEP_DEG = 10.0
+_STEEP_GAIN = 0.85
+"""A slope that no noise explains need not improve the fit as much."""
 
 
 def fit_rising(
@@ -54,6 +62,7 @@ def fit_rising(
     rig: RectifiedRig,
     heights_mm: tuple[float, float],
     table_z_mm: float,
+    possible: Callable[[FaceFit], bool],
 ) -> list[FaceFit]:
     """Return the best face for each outline of what rises.
 
@@ -64,6 +73,7 @@ def fit_rising(
         rig: the rectified cameras.
         heights_mm: least and greatest height of a face over the table.
         table_z_mm: height of the table, base frame.
+        possible: whether a fit may be a part's top face.
     """
     found = []
     # equal steps of parallax are equal steps of the image: 1 / distance, not height, is divided evenly
@@ -77,27 +87,62 @@ def fit_rising(
             [(float(z_mm), _laid(piece, rig, float(z_mm))) for z_mm in levels]
             for piece in (*grey_pieces(pictures.images[0], outline), *_planes_inside(left, outline))
         ]
-        fits = [fit for seed in seeds for fit in _fits_of(seed, pictures, rig, table_z_mm)]
-        level = min((fit for fit in fits if fit.face.slope_u == 0.0), key=lambda fit: fit.rms_px, default=None)
-        inclined = min((fit for fit in fits if fit.face.slope_u != 0.0), key=lambda fit: fit.rms_px, default=None)
-        best = level
-        if inclined is not None and (level is None or inclined.rms_px < _INCLINED_GAIN * level.rms_px):
-            best = inclined
+        fits = [fit for seed in seeds for fit in _fits_of(seed, pictures, rig, table_z_mm) if possible(fit)]
+        level = min((fit for fit in fits if fit.face.slope_u == 0.0), key=_misfit, default=None)
+        inclined = min((fit for fit in fits if _is_inclined(fit)), key=_misfit, default=None)
+        best = _better_inclined(level, inclined, pictures, rig, table_z_mm, possible)
         if best is not None:
             found.append(best)
     return found
+
+
+def _better_inclined(
+    level: FaceFit | None,
+    inclined: FaceFit | None,
+    pictures: Pictures,
+    rig: RectifiedRig,
+    table_z_mm: float,
+    possible: Callable[[FaceFit], bool],
+) -> FaceFit | None:
+    """Return the level fit, or an inclined one that explains the picture clearly better.
+
+    Args:
+        level: the best level fit.
+        inclined: the best inclined one so far; a level rectangle is tilted along each of its sides besides.
+        pictures: the rectified images.
+        rig: the rectified cameras.
+        table_z_mm: height of the table, base frame.
+        possible: whether a fit may be a part's top face.
+    """
+    candidates = [] if inclined is None else [inclined]
+    if level is not None and level.face.figure is Figure.RECTANGLE:
+        tilted = [replace(face, slope_u=_GENTLE_SLOPE) for face in _inclined(level.face)]
+        candidates += [fit for fit in _fitted(tilted, pictures, rig, table_z_mm, REACH) if possible(fit)]
+    steepest = min((fit for fit in candidates if _is_inclined(fit)), key=_misfit, default=None)
+    if level is None or steepest is None:
+        return level or steepest
+    gain = _STEEP_GAIN if steepest.face.inclination_deg >= _STEEP_DEG else _INCLINED_GAIN
+    return steepest if steepest.rms_px < gain * level.rms_px else level
+
+
+def _misfit(fit: FaceFit) -> float:
+    return fit.rms_px
+
+
+def _is_inclined(fit: FaceFit) -> bool:
+    return fit.face.inclination_deg >= _LEAST_INCLINATION_DEG
 
 
 def _fits_of(
     seed: list[tuple[float, Array]], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
 ) -> list[FaceFit]:
     """Return the fits that one seed leads to: scouted at each height, then as each figure at the best heights."""
-    scouted = fit_profiles(
-        [_rectangle(border, z_mm) for z_mm, border in seed], [False] * len(seed), pictures, rig, table_z_mm, SCOUT
-    )
+    level = [_rectangle(border, z_mm) for z_mm, border in seed]
+    inclined = [face for rectangle in level[::_INCLINED_STRIDE] for face in _inclined(rectangle)]
+    scouted = fit_profiles(level, [False] * len(level), pictures, rig, table_z_mm, SCOUT)
     misfits = [np.inf if fit is None else fit.rms_px for fit in scouted]
     best = [seed[number] for number in np.argsort(misfits)[:_KEPT_HEIGHTS]]
-    starts = [face for z_mm, border in best for face in _figures(border, z_mm)]
+    starts = [*inclined, *(face for z_mm, border in best for face in _figures(border, z_mm))]
     second = sorted(_fitted(starts, pictures, rig, table_z_mm, SCOUT), key=lambda fit: fit.rms_px)
     return _fitted([fit.face for fit in _promising(second)], pictures, rig, table_z_mm, REACH)
 
@@ -207,7 +252,7 @@ def _rectangle(border: Array, z_mm: float) -> Face:
 
 
 def _figures(border: Array, z_mm: float) -> list[Face]:
-    """Return the figures that a border may be, level and inclined."""
+    """Return the level figures that a border may be."""
     rectangle = _rectangle(border, z_mm)
     moments = cv2.moments(border.astype(np.float32))
     area = max(moments["m00"], 1.0)
@@ -219,8 +264,13 @@ def _figures(border: Array, z_mm: float) -> list[Face]:
         Face(Figure.HEXAGON, *middle, z_mm, rectangle.angle_rad + turn, corners, corners * HEXAGON_RATIO)
         for turn in (0.0, np.pi / 6.0)
     ]
-    inclined = []
+    return [rectangle, circle, *hexagons]
+
+
+def _inclined(rectangle: Face) -> list[Face]:
+    """Return a rectangle inclined along each of its sides, upwards and downwards."""
+    faces = []
     for _ in range(_SIDES):
-        inclined.append(replace(rectangle, slope_u=_START_SLOPE))
+        faces.append(replace(rectangle, slope_u=_START_SLOPE))
         rectangle = rectangle.quarter_turned()
-    return [rectangle, circle, *hexagons, *inclined]
+    return faces

@@ -70,6 +70,7 @@ def verify_tops(
     pictures = replace(pictures, blur_px=measure_blur(sure, pictures, rig, table_z_mm))
     faces = [top.fit.face for top in tops]
     fits = fit_profiles(faces, [face.slope_u != 0.0 for face in faces], pictures, rig, table_z_mm)
+
     known = [
         replace(top, fit=_surer(top.fit, fit))
         for top, fit in zip(tops, fits, strict=True)
@@ -103,14 +104,17 @@ def _rising_tops(
 ) -> list[Top]:
     """Return the faces behind outlines of what rises that no known top at their place fits better."""
     heights_mm = (limits.min_height_mm, limits.max_height_mm)
-    rising = [
-        fit
-        for fit in fit_rising(outlines, left, pictures, rig, heights_mm, table_z_mm)
-        if is_top(fit, table_z_mm, limits)
-    ]
+    rising = fit_rising(
+        outlines, left, pictures, rig, heights_mm, table_z_mm, lambda fit: is_top(fit, table_z_mm, limits)
+    )
     starts = [fit.face for fit in rising]
     by_edges = fit_faces(starts, [face.slope_u != 0.0 for face in starts], fields, rig, SETTLE, limits.min_gradient)
-    found = [fit if edges is None else _surer(edges, fit) for fit, edges in zip(rising, by_edges, strict=True)]
+    # part of a face may explain the grey values along itself, but it has no edges of its own
+    found = [
+        _surer(edges, fit)
+        for fit, edges in zip(rising, by_edges, strict=True)
+        if edges is not None and edges.rms_px <= limits.max_rms_px
+    ]
     more: list[Top] = []
     for fit in sorted(found, key=lambda fit: fit.rms_px):
         if not any(share_place(fit, top.fit) and top.fit.rms_px <= fit.rms_px for top in (*known, *more)):
@@ -125,7 +129,19 @@ def _outline_px(face: Face, rig: RectifiedRig) -> float:
 
 
 def _surer(by_edges: FaceFit, by_profiles: FaceFit) -> FaceFit:
-    """Return the better of two fits of one face: that to the grey values where it is good, and its better misfit."""
-    if by_profiles.rms_px <= max(_GOOD_RMS_PX, by_edges.rms_px):
-        return replace(by_profiles, rms_px=min(by_profiles.rms_px, by_edges.rms_px))
-    return by_edges
+    """Return the better of two fits of one face: that to the grey values where it is good.
+
+    They use the picture differently: where they disagree, neither is surer than that.
+    """
+    chosen = by_profiles if by_profiles.rms_px <= max(_GOOD_RMS_PX, by_edges.rms_px) else by_edges
+    apart_mm = _centre(by_edges.face) - _centre(by_profiles.face)
+    surer = min((by_edges, by_profiles), key=lambda fit: float(np.trace(fit.covariance_mm2)))
+    return replace(
+        chosen,
+        rms_px=min(by_profiles.rms_px, by_edges.rms_px),
+        covariance_mm2=surer.covariance_mm2 + np.outer(apart_mm, apart_mm),
+    )
+
+
+def _centre(face: Face) -> Array:
+    return np.array([face.x_mm, face.y_mm, face.z_mm])
