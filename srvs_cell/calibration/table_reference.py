@@ -9,7 +9,6 @@ does not show (a sideways hand-eye error) keep their doubt: this is a Kalman upd
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -61,6 +60,7 @@ class TableReference:
         image_size: (width, height) of the rectified images.
         errors: best estimate, shape (18,).
         covariance: of them, shape (18, 18).
+        response: coefficients of the deviation field that each error causes, shape (10, 18).
     """
 
     budget: ErrorBudget
@@ -69,6 +69,7 @@ class TableReference:
     image_size: tuple[int, int]
     errors: Array
     covariance: Array
+    response: Array
 
     @classmethod
     def unmeasured(
@@ -79,14 +80,10 @@ class TableReference:
         image_size: tuple[int, int],
     ) -> Self:
         """Return what is known without a look at the table."""
-        return cls(
-            budget,
-            principal_point_px,
-            table_z_mm,
-            image_size,
-            np.zeros(_COUNT),
-            np.diag(_sigmas(budget.uncertainty) ** 2),
-        )
+        covariance = np.diag(_sigmas(budget.uncertainty) ** 2)
+        unknown = np.zeros((BASIS, _COUNT))
+        bare = cls(budget, principal_point_px, table_z_mm, image_size, np.zeros(_COUNT), covariance, unknown)
+        return replace(bare, response=bare._responses())
 
     def basis(self, x_px: Array, y_px: Array, disparity_px: Array) -> tuple[Array, Array]:
         """Return the fields that a deviation is composed of, at pixels of the left image.
@@ -113,30 +110,6 @@ class TableReference:
             u.append(budget.f_px * (right * x_right - left * x))
             v.append(budget.f_px * (left - right) * y)
         return np.stack(u, axis=-1), np.stack(v, axis=-1)
-
-    @cached_property
-    def response(self) -> Array:
-        """Coefficients of the field that each error causes, shape (10, 18)."""
-        width, height = self.image_size
-        x, y = (
-            axis.ravel() for axis in np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))
-        )
-        disparity, *_ = self._seen(x, y, np.zeros(_BUDGET_CAUSES), 0.0)
-        u, v = self.basis(x, y, disparity)
-        fields = np.concatenate([u, v])[:, :_HOMOGRAPHY]
-        shown = np.empty((2 * x.size, _BUDGET_CAUSES))
-        for cause, step in enumerate(_STEPS):
-            error = np.zeros(_BUDGET_CAUSES)
-            error[cause] = step
-            shown[:, cause] = (self._shown(x, y, error, 0.0) - self._shown(x, y, -error, 0.0)) / (2.0 * step)
-        none = np.zeros(_BUDGET_CAUSES)
-        lifted = self._shown(x, y, none, _TABLE_STEP_MM) - self._shown(x, y, none, -_TABLE_STEP_MM)
-        response = np.zeros((BASIS, _COUNT))
-        solved = np.linalg.lstsq(fields, np.column_stack([shown, lifted / (2.0 * _TABLE_STEP_MM)]), rcond=None)[0]
-        response[:_HOMOGRAPHY, :_BUDGET_CAUSES] = solved[:, :_BUDGET_CAUSES]
-        response[:_HOMOGRAPHY, _TABLE] = solved[:, _BUDGET_CAUSES]
-        response[_HOMOGRAPHY, _K1] = response[_HOMOGRAPHY + 1, _K2] = 1.0
-        return response
 
     @property
     def expected_field(self) -> Array:
@@ -195,6 +168,29 @@ class TableReference:
             shift = by_x * left * x + by_y * left * y + by_disparity * (left * x - right * x_right)
             columns.append(self.budget.f_px * shift[:, None])
         return np.hstack([*columns, np.zeros((3, 1))])
+
+    def _responses(self) -> Array:
+        """Return the coefficients of the deviation field that each error causes, shape (10, 18)."""
+        width, height = self.image_size
+        x, y = (
+            axis.ravel() for axis in np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))
+        )
+        disparity, *_ = self._seen(x, y, np.zeros(_BUDGET_CAUSES), 0.0)
+        u, v = self.basis(x, y, disparity)
+        fields = np.concatenate([u, v])[:, :_HOMOGRAPHY]
+        shown = np.empty((2 * x.size, _BUDGET_CAUSES))
+        for cause, step in enumerate(_STEPS):
+            error = np.zeros(_BUDGET_CAUSES)
+            error[cause] = step
+            shown[:, cause] = (self._shown(x, y, error, 0.0) - self._shown(x, y, -error, 0.0)) / (2.0 * step)
+        none = np.zeros(_BUDGET_CAUSES)
+        lifted = self._shown(x, y, none, _TABLE_STEP_MM) - self._shown(x, y, none, -_TABLE_STEP_MM)
+        response = np.zeros((BASIS, _COUNT))
+        solved = np.linalg.lstsq(fields, np.column_stack([shown, lifted / (2.0 * _TABLE_STEP_MM)]), rcond=None)[0]
+        response[:_HOMOGRAPHY, :_BUDGET_CAUSES] = solved[:, :_BUDGET_CAUSES]
+        response[:_HOMOGRAPHY, _TABLE] = solved[:, _BUDGET_CAUSES]
+        response[_HOMOGRAPHY, _K1] = response[_HOMOGRAPHY + 1, _K2] = 1.0
+        return response
 
     def _shown(self, x_px: Array, y_px: Array, errors: Array, lift_mm: float) -> Array:
         """Return u and v, one after the other, that errors of calibration and pose cause, shape (2 N,)."""

@@ -40,7 +40,8 @@ _SLACK_PX = 0.25
 """Displacement of the table's own picture that is not counted as parallax."""
 _SOBEL = 8.0
 _MIN_AREA_PX = 40
-_MIN_OUTLINE_PX = 200.0
+_MIN_OUTLINE_PX = 600.0
+"""Less than the outline of the least part, doubled, at the camera's usual distance."""
 _JOIN_PX = 7
 _MIN_ROWS = 0.6
 """Share of their rows that the left and the right border of one face have in common."""
