@@ -74,9 +74,15 @@ def plan_relocation(workpieces: Sequence[Workpiece], parameters: PlanningParamet
         the plan; an infeasible one is returned, with its reasons, not raised.
 
     Raises:
-        AlarmError: NO_BUFFER_PLACE; PLAN_INVALID where the validator refuses the planner's plan.
+        AlarmError: NO_BUFFER_PLACE; UNCERTAIN_POSITION where there is a plan, but not with three sigma of room around
+            what was perceived; PLAN_INVALID where the validator refuses the planner's plan.
     """
-    table = table_problem(workpieces, parameters, workspace)
+    try:
+        table = table_problem(workpieces, parameters, workspace)
+    except AlarmError as error:
+        if _is_solvable_if_exact(workpieces, parameters, workspace, 1):
+            raise _too_uncertain((error.detail.rstrip("."),), ()) from error
+        raise
     answer = plan(table.problem, parameters.limits)
     found = sum(place.kind is PlaceKind.BUFFER for place in table.problem.places)
     if found and not parameters.buffer_places_mm:
@@ -90,7 +96,27 @@ def plan_relocation(workpieces: Sequence[Workpiece], parameters: PlanningParamet
                 answer = replace(answer, reasons=(*answer.reasons, f"no further buffer place: {error.detail}"))
                 break
             table, answer = wider, plan(wider.problem, parameters.limits)
+    if answer.status is PlanStatus.INFEASIBLE and _is_solvable_if_exact(workpieces, parameters, workspace, found):
+        raise _too_uncertain(answer.reasons, table.notes)
     return _cell_plan(table, answer)
+
+
+def _too_uncertain(reasons: tuple[str, ...], notes: tuple[str, ...]) -> AlarmError:
+    said = (
+        "Blocked by the vision's uncertainty; were positions exact instead of known to 3 sigma, there would be a plan"
+    )
+    return AlarmError(Alarm.UNCERTAIN_POSITION, f"{said}: {'; '.join((*reasons, *notes))}.")
+
+
+def _is_solvable_if_exact(
+    workpieces: Sequence[Workpiece], parameters: PlanningParameters, workspace: Workspace, buffers: int
+) -> bool:
+    """Tell whether there would be a plan without the room that is kept for the vision's uncertainty."""
+    try:
+        exact = table_problem(workpieces, parameters, workspace, max(buffers, 1), exact=True)
+    except AlarmError:
+        return False
+    return has_plan(plan(exact.problem, parameters.limits))
 
 
 def _cell_plan(table: TableProblem, answer: RelocationPlan) -> CellPlan:

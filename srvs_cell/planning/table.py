@@ -6,6 +6,7 @@ the slot with the largest y (the paper, "Recognition and relocation"). A workpie
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,14 @@ from srvs_cell.planning.buffers import Workspace, find_buffer
 from srvs_cell.planning.clearance import convex_hull
 from srvs_cell.planning.goals import goal_rule
 from srvs_cell.planning.problem import FingerGrip, Obstacle, Polygon, Problem, ProblemObject, RankGoal
+from srvs_cell.planning.uncertainty import (
+    SIGMAS,
+    finger_growth_mm,
+    footprint_growth_mm,
+    grown,
+    sigma_mm,
+    wider,
+)
 from srvs_cell.scene import UNKNOWN_KIND, Place, PlaceKind, Point2, Workpiece
 
 if TYPE_CHECKING:
@@ -44,7 +53,12 @@ class TableProblem:
 
 
 def table_problem(
-    workpieces: Sequence[Workpiece], parameters: PlanningParameters, workspace: Workspace, buffers: int = 1
+    workpieces: Sequence[Workpiece],
+    parameters: PlanningParameters,
+    workspace: Workspace,
+    buffers: int = 1,
+    *,
+    exact: bool = False,
 ) -> TableProblem:
     """Make the ``height_order`` problem of the workpieces on the table.
 
@@ -53,6 +67,7 @@ def table_problem(
         parameters: tolerances, fingers, buffer places.
         workspace: where the hand may go; workpieces outside it count as out of reach.
         buffers: how many buffer places to look for where none is configured and the order is not kept already.
+        exact: take the positions for exact, and not for as uncertain as the vision says.
 
     Raises:
         AlarmError: NO_BUFFER_PLACE where the order is not kept and no free place is found on the table.
@@ -69,10 +84,12 @@ def table_problem(
         id="table",
         places=slots + configured,
         objects=tuple(
-            _object(i, workpiece, centre, parameters.fingers)
+            _object(i, workpiece, centre, parameters, () if exact else workpieces)
             for i, (workpiece, centre) in enumerate(zip(movable, centres, strict=True))
         ),
-        obstacles=tuple(_obstacle(workpiece) for workpiece in static),
+        obstacles=tuple(
+            _obstacle(w, 0.0 if exact else footprint_growth_mm(w, parameters.clearance_mm)) for w in static
+        ),
         goal=RankGoal(slot_order(slots, parameters.place_tolerance_mm), parameters.height_tolerance_mm),
         home_mm=parameters.home_mm,
         clearance_mm=parameters.clearance_mm,
@@ -85,7 +102,23 @@ def table_problem(
         problem,
         tuple(w.id for w in movable),
         tuple(w.id for w in static),
-        tuple(f"{_name(w)} stays where it is: {_why_static(w)}" for w in static),
+        (
+            *(f"{_name(w)} stays where it is: {_why_static(w)}" for w in static),
+            *(
+                _out_of_reach(w, centre, workspace)
+                for w, centre in zip(movable, centres, strict=True)
+                if not workspace.contains(*centre)
+            ),
+            *(
+                ()
+                if exact
+                else (
+                    _uncertain(w, parameters)
+                    for w in workpieces
+                    if footprint_growth_mm(w, parameters.clearance_mm) > 0.0
+                )
+            ),
+        ),
     )
 
 
@@ -122,12 +155,25 @@ def _relative_polygon(footprint_mm: NDArray[np.float64], centre_mm: Point2) -> P
     return Polygon(tuple((float(x), float(y)) for x, y in hull))
 
 
-def _object(index: int, workpiece: Workpiece, centre_mm: Point2, fingers: FingerGeometry) -> ProblemObject:
-    grips = () if workpiece.grasp is None else (_grip(workpiece.grasp, centre_mm, fingers),)
+def _object(
+    index: int,
+    workpiece: Workpiece,
+    centre_mm: Point2,
+    parameters: PlanningParameters,
+    uncertain: Sequence[Workpiece],
+) -> ProblemObject:
+    """Return the object of a workpiece; with ``uncertain`` workpieces around, room for three sigma is kept."""
+    footprint = _relative_polygon(workpiece.footprint_mm, centre_mm)
+    grasps = () if workpiece.grasp is None else (workpiece.grasp,)
+    grips = tuple(_grip(grasp, centre_mm, parameters.fingers) for grasp in grasps)
+    if uncertain:
+        footprint = grown(footprint, footprint_growth_mm(workpiece, parameters.clearance_mm))
+        growth_mm = finger_growth_mm(workpiece, uncertain)
+        grips = tuple(wider(grip, growth_mm) for grip in grips)
     return ProblemObject(
         id=index,
         height_mm=workpiece.height_mm,
-        footprint=_relative_polygon(workpiece.footprint_mm, centre_mm),
+        footprint=footprint,
         start=index,
         grips=grips,
         name=_name(workpiece),
@@ -148,9 +194,26 @@ def _grip(grasp: Grasp, centre_mm: Point2, fingers: FingerGeometry) -> FingerGri
     )
 
 
-def _obstacle(workpiece: Workpiece) -> Obstacle:
+def _obstacle(workpiece: Workpiece, growth_mm: float) -> Obstacle:
     centre_mm = footprint_centroid_mm(workpiece.footprint_mm)
-    return Obstacle(_relative_polygon(workpiece.footprint_mm, centre_mm), *centre_mm)
+    return Obstacle(grown(_relative_polygon(workpiece.footprint_mm, centre_mm), growth_mm), *centre_mm)
+
+
+def _out_of_reach(workpiece: Workpiece, centre_mm: Point2, workspace: Workspace) -> str:
+    x_mm, y_mm = centre_mm
+    beyond_mm = math.hypot(
+        max(workspace.x_min_mm - x_mm, 0.0, x_mm - workspace.x_max_mm),
+        max(workspace.y_min_mm - y_mm, 0.0, y_mm - workspace.y_max_mm),
+    )
+    return f"{_name(workpiece)} cannot leave: out of reach by {beyond_mm:.0f} mm"
+
+
+def _uncertain(workpiece: Workpiece, parameters: PlanningParameters) -> str:
+    room_mm = SIGMAS * sigma_mm(workpiece)
+    return (
+        f"{_name(workpiece)}: its place is known to {room_mm:.1f} mm (3 sigma) only, more than half the clearance of "
+        f"{parameters.clearance_mm:g} mm; places nearer than that count as blocked"
+    )
 
 
 def _name(workpiece: Workpiece) -> str:

@@ -201,7 +201,7 @@ def test_slots_are_ranked_by_y() -> None:
 )
 def test_fingers_need_the_room_from_closed_to_open(fingers: FingerGeometry, outer_mm: float) -> None:
     parameters = PlanningParameters(fingers=fingers)
-    (item,) = table_problem([workpiece(0, (450, 0), 60)], parameters, WORKSPACE).problem.objects
+    (item,) = table_problem([workpiece(0, (450, 0), 60)], parameters, WORKSPACE, exact=True).problem.objects
     (grip,) = item.grips
     assert grip.inner_mm == 15.0
     assert grip.inner_mm + grip.thick_mm == outer_mm

@@ -18,7 +18,7 @@ class FanucRmiConfig(BaseModel):
     poll_s: float = Field(
         default=0.05, ge=0.01, le=1.0, description="clock seconds between two readings while a move is under way"
     )
-    user_frame: int = Field(default=0, ge=0, le=9, description="user frame that poses are given in; 0 is the world")
+    user_frame: int = Field(default=1, ge=0, le=9, description="user frame that poses are given in; 0 is the world")
     user_tool: int = Field(default=1, ge=1, le=10, description="tool frame whose TCP is moved")
     group_mask: int | None = Field(
         default=None, ge=1, le=128, description="bit field for FRC_Initialize; needed with several motion groups"

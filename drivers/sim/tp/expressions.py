@@ -60,6 +60,13 @@ class Reader:
             raise ValueError(f"expected a number in brackets, found {token.text!r}")
         return token.numbers[0]
 
+    def element(self) -> Element:
+        """Go past ``[n,m]`` of a position register and return it."""
+        token = self.take()
+        if len(token.numbers) != 2 or not 1 <= token.numbers[1] <= _ELEMENTS:  # noqa: PLR2004 - index and element
+            raise ValueError(f"PR{token.text} is no element of a position register")
+        return Element(*token.numbers)
+
     def word(self) -> str:
         """Go past a word and return it."""
         token = self.take()
@@ -94,7 +101,7 @@ class Reader:
         if word.startswith("$"):
             return Variable(word + (self.take().text if self.next.kind == "index" else ""))
         if word == "PR":
-            return self._element()
+            return self.element()
         if word == "R":
             return Register(self.index())
         if word == "AR":
@@ -123,12 +130,6 @@ class Reader:
         if self.next.text in {"AND", "OR"}:
             raise ValueError("several conditions are written in parentheses here (mixed logic)")
         return condition
-
-    def _element(self) -> Element:
-        token = self.take()
-        if len(token.numbers) != 2 or not 1 <= token.numbers[1] <= _ELEMENTS:  # noqa: PLR2004 - index and element
-            raise ValueError(f"PR{token.text} is no element of a position register")
-        return Element(*token.numbers)
 
     def _mixed_begins(self) -> bool:
         return self.next.text == "(" and self.following.text != "-"

@@ -88,7 +88,7 @@ def _assignment(reader: Reader) -> Assign | TakePosition:
             reader.expect("=")
             reader.expect("LPOS")
             return TakePosition(index)
-        target: Expression = Element(*reader.take().numbers)
+        target: Expression = reader.element()
     else:
         target = reader.operand()
     if not isinstance(target, Register | Element | Variable | Signal) or (

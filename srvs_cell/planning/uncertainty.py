@@ -1,0 +1,62 @@
+"""What the vision does not know for sure, as room that has to stay free.
+
+A gap counts where it is wider than three standard deviations of the two positions that make it. Footprints are grown
+by what the configured clearance does not already hold, fingers by all of it: they need no clearance otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srvs_cell.planning.clearance import convex_hull
+from srvs_cell.planning.problem import Polygon
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from srvs_cell.planning.problem import FingerGrip
+    from srvs_cell.scene import Workpiece
+
+SIGMAS = 3.0
+_SIDES = 8
+
+
+def sigma_mm(workpiece: Workpiece) -> float:
+    """Return the standard deviation of a workpiece's position on the table, in its worst direction.
+
+    A covariance that is not finite says nothing here; the cell grips no such workpiece.
+    """
+    if not np.all(np.isfinite(workpiece.covariance_mm2)):
+        return 0.0
+    worst_mm2 = float(np.linalg.eigvalsh(workpiece.covariance_mm2[:2, :2])[-1])
+    return math.sqrt(max(worst_mm2, 0.0))
+
+
+def footprint_growth_mm(workpiece: Workpiece, clearance_mm: float) -> float:
+    """Return by how much a footprint grows; two of them with the clearance between hold three sigma of both."""
+    return max(0.0, SIGMAS * sigma_mm(workpiece) - clearance_mm / 2.0)
+
+
+def grown(polygon: Polygon, growth_mm: float) -> Polygon:
+    """Return a convex polygon grown outwards by at least a length, and at most 9 % more at corners."""
+    if growth_mm <= 0.0:
+        return polygon
+    angles = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    octagon = np.column_stack([np.cos(angles), np.sin(angles)]) * growth_mm / math.cos(math.pi / _SIDES)
+    hull = convex_hull((np.array(polygon.vertices_mm)[:, None] + octagon[None]).reshape(-1, 2))
+    return Polygon(tuple((float(x), float(y)) for x, y in hull))
+
+
+def finger_growth_mm(workpiece: Workpiece, others: Sequence[Workpiece]) -> float:
+    """Return by how much fingers grow: three sigma of the workpiece and of the least certain other together."""
+    worst_mm = max((sigma_mm(other) for other in others if other.id != workpiece.id), default=0.0)
+    return SIGMAS * math.hypot(sigma_mm(workpiece), worst_mm)
+
+
+def wider(grip: FingerGrip, growth_mm: float) -> FingerGrip:
+    """Return the room of fingers grown to all sides but the one that closes on the workpiece."""
+    return replace(grip, thick_mm=grip.thick_mm + growth_mm, width_mm=grip.width_mm + 2.0 * growth_mm)
