@@ -38,6 +38,11 @@ class RmiBench:
         await self.arm.connect()
         await self.arm.activate()
 
+    async def said_goodbye(self) -> None:
+        """Return when the double's thread has read the last packet of a session; the driver does not wait for it."""
+        while self.controller.server.received[-1] != "FRC_Disconnect":  # noqa: ASYNC110 - a thread has no asyncio event
+            await asyncio.sleep(0)
+
     def begin_move(self) -> asyncio.Task[Xyzwpr]:
         return asyncio.create_task(self.arm.move_linear(TARGET, SPEED_MM_S))
 
