@@ -58,6 +58,7 @@ class FanucRmiArm:
         self._starting = asyncio.Lock()
         self._moving = asyncio.Lock()
         self._stop_requested = False
+        self._stops = 0
         self._abort: asyncio.Task[None] | None = None
         self._abort_sent = asyncio.Event()
         self._fault: str | None = None
@@ -101,13 +102,16 @@ class FanucRmiArm:
         self._require_connected()
         if self._lifecycle == Lifecycle.ACTIVE:
             return
-        self._stop_requested = False
+        stops = self._stops
+        async with self._moving:  # a move that is being stopped comes to its end first
+            self._require_connected()
         await self._start()
         frame, tool = self._config.user_frame, self._config.user_tool
         await self._session.command("FRC_SetUFrameUTool", UFrameNumber=frame, UToolNumber=tool)
         self._raise(judgement.frame_refusal(await self._read_place(), frame, tool))
-        if self._stop_requested:
+        if self._stops != stops:
             raise NotReadyError(Alarm.ROBOT_NOT_READY, "A stop was requested meanwhile.")
+        self._stop_requested = False
         self._lifecycle = Lifecycle.ACTIVE
 
     async def deactivate(self) -> None:
@@ -163,6 +167,7 @@ class FanucRmiArm:
         disconnects waits for it. Waits for at most the command that is on the wire.
         """
         self._stop_requested = True
+        self._stops += 1
         if self._lifecycle == Lifecycle.ACTIVE:
             self._lifecycle = Lifecycle.INACTIVE
         self._require_connected()

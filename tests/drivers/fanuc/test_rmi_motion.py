@@ -118,6 +118,18 @@ async def test_a_stop_in_mid_move_leaves_the_arm_standing_until_it_is_activated_
         assert await b.arm.move_linear(TARGET, SPEED_MM_S) == TARGET
 
 
+async def test_who_makes_the_arm_active_at_once_after_a_stop_does_not_blur_how_the_move_ended() -> None:
+    async with rmi_bench() as b:
+        await b.ready()
+        task = await b.begun_move()
+        await b.arm.request_stop()
+        await b.arm.activate()
+        with pytest.raises(MotionStoppedError):
+            await task
+        assert b.arm.lifecycle is Lifecycle.ACTIVE
+        assert await b.arm.move_linear(TARGET, SPEED_MM_S) == TARGET
+
+
 async def test_an_abort_that_takes_almost_a_minute_is_waited_for_while_nothing_else_is_sent() -> None:
     async with rmi_bench() as b:
         await b.ready()
