@@ -90,36 +90,27 @@ class Assignment:
 
 
 class WordTable:
-    """All words that are assigned; numbers from 1 on, as ``%R``."""
+    """All words that are assigned; numbers from 1 on, as ``%R``. Of two entries that overlap the lower slot wins."""
 
     def __init__(self, command_file: str) -> None:
         self._entries = tuple(_assignments(command_file))
-        self._at = {
-            word: (entry, word - entry.address)
-            for entry in reversed(self._entries)  # of two that overlap the lower slot wins
-            for word in range(entry.address, entry.address + entry.size)
-        }
 
     def read(self, word: int, count: int, source: SnpxSource) -> list[int]:
         """Return words; what is not assigned reads 0 without an error."""
-        seen: dict[Assignment, list[int]] = {}
-        found = []
-        for number in range(word, word + count):
-            if number not in self._at:
-                found.append(0)
-                continue
-            entry, offset = self._at[number]
-            if entry not in seen:
-                seen[entry] = entry.words(source)
-            found.append(seen[entry][offset])
+        found = [0] * count
+        for entry in reversed(self._entries):
+            first, end = max(word, entry.address), min(word + count, entry.address + entry.size)
+            if first < end:
+                found[first - word : end - word] = entry.words(source)[first - entry.address : end - entry.address]
         return found
 
     def write(self, word: int, values: list[int], source: SnpxSource) -> None:
         """Write words; what is not assigned is ignored without an error."""
         for number, value in enumerate(values, start=word):
-            if number in self._at:
-                entry, offset = self._at[number]
-                entry.write(source, offset, value)
+            for entry in self._entries:
+                if entry.address <= number < entry.address + entry.size:
+                    entry.write(source, number - entry.address, value)
+                    break
 
 
 def split(value: int) -> list[int]:

@@ -13,7 +13,7 @@ from srvs_cell.geometry import Xyzwpr
 from tests.drivers.stepped import PointArm, SteppedClock, SteppedTime
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import AsyncIterator, Callable, Mapping
 
 HOME = Xyzwpr(500.0, 0.0, 400.0, 180.0, 0.0, 0.0)
 TARGET = Xyzwpr(600.0, 0.0, 400.0, 180.0, 0.0, 0.0)
@@ -53,11 +53,14 @@ class Bench:
 
 @contextlib.asynccontextmanager
 async def bench(
-    timeout_s: float = PATIENT_S, make_point: Callable[[SteppedTime], PointArm] = PointArm, **settings: float
+    timeout_s: float = PATIENT_S,
+    make_point: Callable[[SteppedTime], PointArm] = PointArm,
+    sources: Mapping[str, str] | None = None,
+    **settings: float,
 ) -> AsyncIterator[Bench]:
     time = SteppedTime()
     point = make_point(time)
-    controller = ModbusController(point, time)
+    controller = ModbusController(point, time, sources=sources)
     port = controller.start()
     clock = SteppedClock(time)
     config = FanucModbusConfig.model_validate({"port": port, "timeout_s": timeout_s, **settings})

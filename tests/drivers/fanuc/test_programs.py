@@ -9,6 +9,10 @@ import pytest
 
 from drivers.sim.tp import load, shipped_sources
 from drivers.sim.tp.syntax import Label, Remark
+from srvs_cell.alarms import Alarm
+from srvs_cell.geometry import Xyzwpr
+from srvs_cell.ports import CommandRejectedError, DeviceFaultError, NotReadyError, OutcomeUnknownError, PortError
+from tests.drivers.fanuc.bench import bench
 from tests.drivers.fanuc.program_judge import JUDGES, judge_grip
 
 if TYPE_CHECKING:
@@ -91,6 +95,48 @@ MISTAKES = {
     "parameters mapped one word off": ("SRVS.CF", "$ADDRESS 12034", "$ADDRESS 12035", 1),
     "metres for millimetres": ("SRVS.CF", "$MULTIPLY 1000", "$MULTIPLY 1", 1),
 }
+
+
+DIVERTED = Xyzwpr(600.0, -50.5, 300.125, 180.0, 0.25, -30.5)
+SEEN_BY_THE_DRIVER: dict[str, tuple[tuple[str, str, str, int], type[PortError], Alarm]] = {
+    "X for Y": (MISTAKES["X for Y"], DeviceFaultError, Alarm.MOTION_OUTCOME_UNKNOWN),
+    "acknowledged first": (
+        MISTAKES["acknowledged before the checks"],
+        OutcomeUnknownError,
+        Alarm.MOTION_OUTCOME_UNKNOWN,
+    ),
+    "a wrong weight": (MISTAKES["a wrong weight in the checksum"], CommandRejectedError, Alarm.TARGET_REJECTED),
+    "never acknowledged": (
+        ("SRVS.LS", ACK, "R[119:SRVS ACK]=R[120:SRVS SEQ COPY]", 1),
+        OutcomeUnknownError,
+        Alarm.MOTION_OUTCOME_UNKNOWN,
+    ),
+    "another protocol": (("SRVS.LS", "=4201", "=4301", 1), PortError, Alarm.PROTOCOL_VERSION),
+    "no heartbeat": (("SRVS.LS", "RUN SRVS_HB", "", 1), NotReadyError, Alarm.MODE_NOT_AUTO),
+    "parameters one word off": (MISTAKES["parameters mapped one word off"], NotReadyError, Alarm.PROTOCOL_ERROR),
+}
+
+
+@pytest.mark.parametrize("case", SEEN_BY_THE_DRIVER.values(), ids=SEEN_BY_THE_DRIVER.keys())
+async def test_the_real_driver_on_its_wire_names_a_mistake(
+    case: tuple[tuple[str, str, str, int], type[PortError], Alarm],
+) -> None:
+    mistake, error, alarm = case
+    async with bench(sources=_changed(*mistake)) as b:
+        with pytest.raises(error) as raised:  # noqa: PT012 - some show when connecting, some when moving
+            await b.ready()
+            await b.arm.move_linear(DIVERTED, 100.0)
+        assert raised.value.alarm is alarm
+
+
+async def test_a_hold_output_that_the_programs_do_not_heed_is_unknown() -> None:
+    async with bench(sources=_changed(*MISTAKES["another output holds"])) as b:
+        await b.ready()
+        task = await b.begun_move()
+        await b.arm.request_stop()
+        b.point._speed_mm_s = 0.01
+        with pytest.raises(OutcomeUnknownError):
+            await task
 
 
 @pytest.mark.parametrize("mistake", MISTAKES.values(), ids=MISTAKES.keys())
