@@ -19,6 +19,16 @@ from srvs_cell.planning.problem import (
     read_problems,
 )
 from srvs_cell.planning.relocation import CellGoal, CellMove, CellPlan, plan_relocation
+from srvs_cell.planning.rules import (
+    Choice,
+    ElementChange,
+    HeightOrder,
+    NominalPlace,
+    PositionCorrection,
+    Rule,
+    Standing,
+    make_rule,
+)
 from srvs_cell.planning.table import TableProblem, footprint_centroid_mm, table_problem
 from srvs_cell.planning.validator import validate
 
@@ -27,23 +37,31 @@ __all__ = [
     "CellGoal",
     "CellMove",
     "CellPlan",
+    "Choice",
     "Disc",
+    "ElementChange",
     "FingerGeometry",
     "FingerGrip",
     "Footprint",
+    "HeightOrder",
+    "NominalPlace",
     "Obstacle",
     "PlanningParameters",
     "Polygon",
+    "PositionCorrection",
     "Problem",
     "ProblemObject",
     "RankGoal",
     "Rectangle",
+    "Rule",
     "SearchLimits",
+    "Standing",
     "TableProblem",
     "Workspace",
     "explain",
     "footprint_centroid_mm",
     "has_plan",
+    "make_rule",
     "plan",
     "plan_relocation",
     "plan_svg",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -47,6 +47,13 @@ class FingerGeometry:
 class PlanningParameters:
     """Everything that a config may say about planning."""
 
+    rule: Annotated[
+        str, Field(min_length=1, max_length=80, description="goal rule: height_order, or the name of another one")
+    ] = "height_order"
+    rule_settings: Annotated[
+        dict[str, Any],
+        Field(description="the goal rule's own settings; without any, height_order takes the tolerances below"),
+    ] = Field(default_factory=dict)
     height_tolerance_mm: Annotated[
         float, Field(ge=0.0, le=50.0, description="two heights nearer than this may stand in either order")
     ] = 2.0

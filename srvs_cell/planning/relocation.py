@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.planning.planner import has_plan, plan
+from srvs_cell.planning.rules import make_rule
 from srvs_cell.planning.table import TableProblem, table_problem
 from srvs_cell.planning.validator import validate
 from srvs_cell.scene import PlaceKind, PlanStatus, Point2, RelocationPlan
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.planning.buffers import Workspace
     from srvs_cell.planning.parameters import PlanningParameters
+    from srvs_cell.planning.rules import Rule
     from srvs_cell.scene import Workpiece
 
 
@@ -60,8 +62,10 @@ class CellPlan:
     buffers_mm: tuple[Point2, ...]
 
 
-def plan_relocation(workpieces: Sequence[Workpiece], parameters: PlanningParameters, workspace: Workspace) -> CellPlan:
-    """Plan the order of height for what was perceived, and replay the plan in the validator.
+def plan_relocation(
+    workpieces: Sequence[Workpiece], parameters: PlanningParameters, workspace: Workspace, rule: Rule | None = None
+) -> CellPlan:
+    """Plan what the goal rule wants for what was perceived, and replay the plan in the validator.
 
     Where one buffer place that was found is not enough, more are looked for.
 
@@ -69,6 +73,7 @@ def plan_relocation(workpieces: Sequence[Workpiece], parameters: PlanningParamet
         workpieces: what was recognised.
         parameters: tolerances, fingers, buffer places, caps.
         workspace: where the hand may go.
+        rule: the goal rule; None for the one that the parameters name.
 
     Returns:
         the plan; an infeasible one is returned, with its reasons, not raised.
@@ -77,10 +82,12 @@ def plan_relocation(workpieces: Sequence[Workpiece], parameters: PlanningParamet
         AlarmError: NO_BUFFER_PLACE; UNCERTAIN_POSITION where there is a plan, but not with three sigma of room around
             what was perceived; PLAN_INVALID where the validator refuses the planner's plan.
     """
+    if rule is None and (parameters.rule != "height_order" or parameters.rule_settings):
+        rule = make_rule(parameters.rule, parameters.rule_settings)
     try:
-        table = table_problem(workpieces, parameters, workspace)
+        table = table_problem(workpieces, parameters, workspace, rule=rule)
     except AlarmError as error:
-        if _is_solvable_if_exact(workpieces, parameters, workspace, 1):
+        if error.alarm is Alarm.NO_BUFFER_PLACE and _is_solvable_if_exact(workpieces, parameters, workspace, 1, rule):
             raise _too_uncertain((error.detail.rstrip("."),), ()) from error
         raise
     answer = plan(table.problem, parameters.limits)
@@ -90,13 +97,13 @@ def plan_relocation(workpieces: Sequence[Workpiece], parameters: PlanningParamet
             if answer.status is not PlanStatus.INFEASIBLE:
                 break
             try:
-                wider = table_problem(workpieces, parameters, workspace, buffers)
+                wider = table_problem(workpieces, parameters, workspace, buffers, rule=rule)
             except AlarmError as error:
                 # One place was found before, so that "infeasible" and its reasons say more than the alarm would.
                 answer = replace(answer, reasons=(*answer.reasons, f"no further buffer place: {error.detail}"))
                 break
             table, answer = wider, plan(wider.problem, parameters.limits)
-    if answer.status is PlanStatus.INFEASIBLE and _is_solvable_if_exact(workpieces, parameters, workspace, found):
+    if answer.status is PlanStatus.INFEASIBLE and _is_solvable_if_exact(workpieces, parameters, workspace, found, rule):
         raise _too_uncertain(answer.reasons, table.notes)
     return _cell_plan(table, answer)
 
@@ -109,11 +116,15 @@ def _too_uncertain(reasons: tuple[str, ...], notes: tuple[str, ...]) -> AlarmErr
 
 
 def _is_solvable_if_exact(
-    workpieces: Sequence[Workpiece], parameters: PlanningParameters, workspace: Workspace, buffers: int
+    workpieces: Sequence[Workpiece],
+    parameters: PlanningParameters,
+    workspace: Workspace,
+    buffers: int,
+    rule: Rule | None,
 ) -> bool:
     """Tell whether there would be a plan without the room that is kept for the vision's uncertainty."""
     try:
-        exact = table_problem(workpieces, parameters, workspace, max(buffers, 1), exact=True)
+        exact = table_problem(workpieces, parameters, workspace, max(buffers, 1), rule=rule, exact=True)
     except AlarmError:
         return False
     return has_plan(plan(exact.problem, parameters.limits))

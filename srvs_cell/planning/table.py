@@ -1,7 +1,8 @@
-"""The cell's own problem: perceived workpieces on the table, put into the order of height.
+"""The cell's own problem: perceived workpieces on the table, and what a goal rule wants of them.
 
-Each workpiece's perceived place is a slot, and its reference point is its footprint's centroid. The highest goes to
-the slot with the largest y (the paper, "Recognition and relocation"). A workpiece keeps its orientation when moved.
+Each workpiece's perceived place is a slot, and its reference point is its footprint's centroid. Without another rule
+the highest goes to the slot with the largest y (the paper, "Recognition and relocation"). A workpiece keeps its
+orientation when moved.
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srvs_cell.alarms import AlarmError
 from srvs_cell.planning.buffers import Workspace, find_buffer
 from srvs_cell.planning.clearance import convex_hull
 from srvs_cell.planning.goals import goal_rule
-from srvs_cell.planning.problem import FingerGrip, Obstacle, Polygon, Problem, ProblemObject, RankGoal
+from srvs_cell.planning.problem import FingerGrip, Obstacle, Polygon, Problem, ProblemObject
+from srvs_cell.planning.rules import HeightOrder, Standing
 from srvs_cell.planning.uncertainty import (
     SIGMAS,
     finger_growth_mm,
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srvs_cell.planning.parameters import FingerGeometry, PlanningParameters
+    from srvs_cell.planning.rules import Rule
     from srvs_cell.scene import Grasp
 
 
@@ -58,24 +62,35 @@ def table_problem(
     workspace: Workspace,
     buffers: int = 1,
     *,
+    rule: Rule | None = None,
     exact: bool = False,
 ) -> TableProblem:
-    """Make the ``height_order`` problem of the workpieces on the table.
+    """Make the problem of the workpieces on the table; without a rule that of `HeightOrder`.
 
     Args:
         workpieces: what was recognised; unknown shapes and workpieces without a grasp become obstacles.
         parameters: tolerances, fingers, buffer places.
         workspace: where the hand may go; workpieces outside it count as out of reach.
         buffers: how many buffer places to look for where none is configured and the order is not kept already.
+        rule: what the scene should become.
         exact: take the positions for exact, and not for as uncertain as the vision says.
 
     Raises:
-        AlarmError: NO_BUFFER_PLACE where the order is not kept and no free place is found on the table.
+        AlarmError: NO_BUFFER_PLACE where the order is not kept and no free place is found on the table; PLAN_INFEASIBLE
+            where the rule finds that it cannot be kept.
     """
     movable = [w for w in workpieces if w.grasp is not None and w.kind != UNKNOWN_KIND]
     static = [w for w in workpieces if w.grasp is None or w.kind == UNKNOWN_KIND]
     centres = [footprint_centroid_mm(w.footprint_mm) for w in movable]
     slots = tuple(Place(i, x, y, PlaceKind.SLOT, workspace.contains(x, y)) for i, (x, y) in enumerate(centres))
+    if rule is None:
+        rule = HeightOrder(
+            height_tolerance_mm=parameters.height_tolerance_mm, place_tolerance_mm=parameters.place_tolerance_mm
+        )
+    choice = rule.choose([Standing(w, centre) for w, centre in zip(movable, centres, strict=True)])
+    slots += tuple(
+        Place(len(slots) + i, x, y, kind, workspace.contains(x, y)) for i, ((x, y), kind) in enumerate(choice.further)
+    )
     configured = tuple(
         Place(len(slots) + i, x, y, PlaceKind.BUFFER, workspace.contains(x, y))
         for i, (x, y) in enumerate(parameters.buffer_places_mm)
@@ -90,19 +105,26 @@ def table_problem(
         obstacles=tuple(
             _obstacle(w, 0.0 if exact else footprint_growth_mm(w, parameters.clearance_mm)) for w in static
         ),
-        goal=RankGoal(slot_order(slots, parameters.place_tolerance_mm), parameters.height_tolerance_mm),
+        goal=choice.goal,
         home_mm=parameters.home_mm,
         clearance_mm=parameters.clearance_mm,
     )
-    ordered = goal_rule(problem).is_reached(tuple(range(len(slots))))
-    if not configured and not ordered:
+    reached = goal_rule(problem).is_reached(tuple(range(len(movable))))
+    if not configured and not reached:
         for _ in range(buffers):
-            problem = find_buffer(problem, workspace, parameters.buffer_grid_mm)
+            try:
+                problem = find_buffer(problem, workspace, parameters.buffer_grid_mm)
+            except AlarmError:
+                # Where places are free from the beginning the search finds out whether that is enough.
+                if not choice.further:
+                    raise
+                break
     return TableProblem(
         problem,
         tuple(w.id for w in movable),
         tuple(w.id for w in static),
         (
+            *choice.notes,
             *(f"{_name(w)} stays where it is: {_why_static(w)}" for w in static),
             *(
                 _out_of_reach(w, centre, workspace)
@@ -120,21 +142,6 @@ def table_problem(
             ),
         ),
     )
-
-
-def slot_order(slots: Sequence[Place], tolerance_mm: float) -> tuple[int, ...]:
-    """Return the ids of slots, largest y first; y within the tolerance of a group's largest count as equal, x decides.
-
-    Groups are anchored at their largest y, so that a long chain of small steps is not one group.
-    """
-    order: list[int] = []
-    remaining = sorted(slots, key=lambda place: -place.y_mm)
-    while remaining:
-        anchor_mm = remaining[0].y_mm
-        group = [place for place in remaining if anchor_mm - place.y_mm <= tolerance_mm]
-        order += [place.id for place in sorted(group, key=lambda place: (place.x_mm, -place.y_mm))]
-        remaining = remaining[len(group) :]
-    return tuple(order)
 
 
 def footprint_centroid_mm(footprint_mm: NDArray[np.float64]) -> Point2:

@@ -9,6 +9,7 @@ from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.planning import (
     CellPlan,
     FingerGeometry,
+    HeightOrder,
     PlanningParameters,
     RankGoal,
     Workspace,
@@ -17,8 +18,7 @@ from srvs_cell.planning import (
     table_problem,
     validate,
 )
-from srvs_cell.planning.table import slot_order
-from srvs_cell.scene import UNKNOWN_KIND, Place, PlaceKind, PlanStatus
+from srvs_cell.scene import UNKNOWN_KIND, PlanStatus
 from tests.planning.problems import workpiece
 
 WORKSPACE = Workspace(300.0, 700.0, -250.0, 250.0)
@@ -70,14 +70,15 @@ def test_heights_within_the_tolerance_may_stand_in_either_order() -> None:
 
 
 def test_equal_y_is_decided_by_the_smaller_x() -> None:
-    slots = [Place(0, 500, 1.0, PlaceKind.SLOT), Place(1, 400, 0.0, PlaceKind.SLOT), Place(2, 300, 9.0, PlaceKind.SLOT)]
-    assert slot_order(slots, 3.0) == (2, 1, 0)
-    assert slot_order(slots, 0.5) == (2, 0, 1)
+    points = [(500.0, 1.0), (400.0, 0.0), (300.0, 9.0)]
+    assert HeightOrder(place_tolerance_mm=3.0).order(points) == (2, 1, 0)
+    assert HeightOrder(place_tolerance_mm=0.5).order(points) == (2, 0, 1)
+    assert HeightOrder(place_tolerance_mm=3.0, left_first=False).order(points) == (2, 0, 1)
 
 
 def test_a_chain_of_small_steps_is_not_one_group() -> None:
-    slots = [Place(i, 500.0 - 100 * i, -2.0 * i, PlaceKind.SLOT) for i in range(3)]
-    assert slot_order(slots, 3.0) == (1, 0, 2)
+    points = [(500.0 - 100 * i, -2.0 * i) for i in range(3)]
+    assert HeightOrder(place_tolerance_mm=3.0).order(points) == (1, 0, 2)
 
 
 def test_a_full_table_has_no_buffer_place() -> None:

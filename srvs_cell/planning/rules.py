@@ -1,0 +1,301 @@
+"""Goal rules: what a scene should become, as places that each workpiece may end on. The solver knows nothing of them.
+
+A rule is any object with a name and ``choose``. Other packages add theirs as entry points of the group
+``srvs_cell.goal_rules``: a class, made with the rule's settings as keyword arguments.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
+
+import numpy as np
+from pydantic import ConfigDict, Field, ValidationError
+from pydantic.dataclasses import dataclass as settings
+from scipy.optimize import linear_sum_assignment
+
+from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.planning.problem import AssignGoal, RankGoal
+from srvs_cell.scene import PlaceKind, Point2
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from srvs_cell.scene import Workpiece
+
+ENTRY_POINT_GROUP = "srvs_cell.goal_rules"
+_STRICT = ConfigDict(extra="forbid")
+_HALF_TURN_DEG = 180.0
+_FAR_MM = 1e9
+
+Length = Annotated[float, Field(ge=0.0, le=5000.0)]
+Coordinate = Annotated[float, Field(ge=-5000.0, le=5000.0)]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A workpiece that can be taken, and the point of its footprint that stands on a place."""
+
+    workpiece: Workpiece
+    point_mm: Point2
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a rule wants.
+
+    Attributes:
+        goal: in place ids: place i is where workpiece i stands, further places follow.
+        further: point and kind of the places that a rule adds.
+        notes: what the rule has to say, one line each.
+    """
+
+    goal: RankGoal | AssignGoal
+    further: tuple[tuple[Point2, PlaceKind], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@runtime_checkable
+class Rule(Protocol):
+    """Turns a scene into places that its workpieces may end on."""
+
+    @property
+    def name(self) -> str:
+        """What config and reasons call the rule."""
+
+    def choose(self, standing: Sequence[Standing]) -> Choice:
+        """Return what should become of the workpieces; raises `AlarmError` PLAN_INFEASIBLE where that is impossible."""
+
+
+@settings(frozen=True, kw_only=True, config=_STRICT)
+class HeightOrder:
+    """The paper's rule: the highest workpiece goes to the occupied place that is farthest along a direction.
+
+    Places whose ways along the direction differ by less than the tolerance are equal: the one farther to the left of
+    the direction comes first, which for the paper's direction, y, is the smaller x.
+
+    Attributes:
+        direction_deg: from base x towards base y; 90 is y.
+        ascending: the lowest workpiece instead of the highest.
+        height_tolerance_mm: heights nearer than this may stand in either order, pair by pair.
+        place_tolerance_mm: places nearer than this along the direction are equal.
+        left_first: whether of equal places the one to the left of the direction comes first, or the one to the right.
+    """
+
+    direction_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 90.0
+    ascending: bool = False
+    height_tolerance_mm: Length = 2.0
+    place_tolerance_mm: Length = 3.0
+    left_first: bool = True
+
+    @property
+    def name(self) -> str:
+        """The rule's name."""
+        return "height_order"
+
+    def choose(self, standing: Sequence[Standing]) -> Choice:
+        """Return the order of height on the places that are occupied."""
+        order = self.order([each.point_mm for each in standing])
+        # Ranks go from tallest to lowest: ascending along the direction is descending against it.
+        slots = order[::-1] if self.ascending else order
+        return Choice(RankGoal(slots, self.height_tolerance_mm))
+
+    def order(self, points_mm: Sequence[Point2]) -> tuple[int, ...]:
+        """Return the numbers of points, the farthest along the direction first.
+
+        Groups of equal points are anchored at their farthest, so that a long chain of small steps is not one group.
+        """
+        angle = math.radians(self.direction_deg)
+        cos, sin = round(math.cos(angle), 12), round(math.sin(angle), 12)
+        along = [x * cos + y * sin for x, y in points_mm]
+        # For the direction y this is x.
+        across = [(x * sin - y * cos) * (1.0 if self.left_first else -1.0) for x, y in points_mm]
+        remaining = sorted(range(len(points_mm)), key=lambda i: -along[i])
+        order: list[int] = []
+        while remaining:
+            anchor_mm = along[remaining[0]]
+            group = [i for i in remaining if anchor_mm - along[i] <= self.place_tolerance_mm]
+            order += sorted(group, key=lambda i: (across[i], -along[i]))
+            remaining = remaining[len(group) :]
+        return tuple(order)
+
+
+@settings(frozen=True, kw_only=True, config=_STRICT)
+class NominalPlace:
+    """A taught place: where a workpiece of a kind should stand, and its yaw where that matters."""
+
+    kind: str
+    x_mm: Coordinate
+    y_mm: Coordinate
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
+
+
+@settings(frozen=True, kw_only=True, config=_STRICT)
+class PositionCorrection:
+    """Every workpiece goes to a taught place of its kind; those within the tolerance stay.
+
+    Workpieces and places are matched for the least sum of distances. A move keeps the yaw, so that a workpiece that is
+    turned too far is refused by name and not put down wrongly.
+
+    Attributes:
+        places: the taught places.
+        tolerance_mm: distance from its place at which a workpiece stays.
+        tolerance_deg: yaw, modulo half a turn, that is right enough.
+    """
+
+    places: Annotated[tuple[NominalPlace, ...], Field(min_length=1, max_length=200)]
+    tolerance_mm: Length = 2.0
+    tolerance_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 5.0
+
+    @property
+    def name(self) -> str:
+        """The rule's name."""
+        return "position_correction"
+
+    def choose(self, standing: Sequence[Standing]) -> Choice:
+        """Return for each workpiece its own place, or the taught one."""
+        count = len(standing)
+        distance_mm = np.array(
+            [
+                [
+                    math.dist(each.point_mm, (place.x_mm, place.y_mm)) if place.kind == each.workpiece.kind else _FAR_MM
+                    for place in self.places
+                ]
+                for each in standing
+            ]
+        ).reshape(count, len(self.places))
+        matched = dict(zip(*(side.tolist() for side in linear_sum_assignment(distance_mm)), strict=True))
+        refused: list[str] = []
+        allowed: list[frozenset[int]] = []
+        further: list[tuple[Point2, PlaceKind]] = []
+        for number, each in enumerate(standing):
+            place = matched.get(number)
+            if place is None or distance_mm[number, place] >= _FAR_MM:
+                refused.append(f"workpiece {each.workpiece.id}: no taught place of kind {each.workpiece.kind} is left")
+                continue
+            turned_deg = _turned_deg(each.workpiece.yaw_deg, self.places[place].yaw_deg)
+            if turned_deg > self.tolerance_deg:
+                refused.append(
+                    f"workpiece {each.workpiece.id} is turned by {turned_deg:.1f} deg, more than "
+                    f"{self.tolerance_deg:g} deg, and a move keeps the yaw"
+                )
+            if distance_mm[number, place] <= self.tolerance_mm:
+                allowed.append(frozenset({number}))
+            else:
+                allowed.append(frozenset({count + len(further)}))
+                further.append(((self.places[place].x_mm, self.places[place].y_mm), PlaceKind.SLOT))
+        if refused:
+            raise AlarmError(Alarm.PLAN_INFEASIBLE, f"{'; '.join(refused)}.")
+        return Choice(AssignGoal(tuple(allowed), frozenset()), tuple(further))
+
+
+def _turned_deg(yaw_deg: float | None, wanted_deg: float | None) -> float:
+    if yaw_deg is None or wanted_deg is None:
+        return 0.0
+    turned = abs(yaw_deg - wanted_deg) % _HALF_TURN_DEG
+    return min(turned, _HALF_TURN_DEG - turned)
+
+
+@settings(frozen=True, kw_only=True, config=_STRICT)
+class ElementChange:
+    """Workpieces that a rule rejects go to the bin, and one of the right kind from the stock takes their place.
+
+    Attributes:
+        reject_kinds: kinds that are rejected.
+        height_mm: least and greatest height of what is not rejected.
+        size_mm: least and greatest length of what is not rejected.
+        bin_mm: where the bin is.
+        stock_mm: where the stock stands; what stands there is no part of the scene that is judged.
+        stock_radius_mm: distance from a stock place at which a workpiece counts as standing there.
+        substitute_kind: kind of the workpieces that may take a rejected one's place.
+    """
+
+    reject_kinds: frozenset[str] = frozenset()
+    height_mm: tuple[Length, Length] = (0.0, 5000.0)
+    size_mm: tuple[Length, Length] = (0.0, 5000.0)
+    bin_mm: tuple[Coordinate, Coordinate]
+    stock_mm: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(max_length=100)] = ()
+    stock_radius_mm: Length = 20.0
+    substitute_kind: str
+
+    @property
+    def name(self) -> str:
+        """The rule's name."""
+        return "element_change"
+
+    def choose(self, standing: Sequence[Standing]) -> Choice:
+        """Return the bin for the rejected, and their places, which must be filled, for the stock."""
+        count = len(standing)
+        in_stock = [
+            any(math.dist(each.point_mm, place) <= self.stock_radius_mm for place in self.stock_mm) for each in standing
+        ]
+        why = [
+            "" if stocked else self._why_rejected(e.workpiece) for e, stocked in zip(standing, in_stock, strict=True)
+        ]
+        freed = frozenset(number for number, reason in enumerate(why) if reason)
+        right = [
+            number
+            for number, stocked in enumerate(in_stock)
+            if stocked and standing[number].workpiece.kind == self.substitute_kind
+        ]
+        if len(right) < len(freed):
+            raise AlarmError(
+                Alarm.PLAN_INFEASIBLE,
+                f"{len(freed)} workpieces are rejected, but {len(right)} of kind {self.substitute_kind} are in stock.",
+            )
+        allowed = tuple(
+            frozenset({count}) if number in freed else frozenset({number}) | (freed if number in right else frozenset())
+            for number in range(count)
+        )
+        notes = tuple(
+            f"workpiece {each.workpiece.id} is rejected: {reason}"
+            for each, reason in zip(standing, why, strict=True)
+            if reason
+        )
+        return Choice(AssignGoal(allowed, freed), ((self.bin_mm, PlaceKind.BIN),), notes)
+
+    def _why_rejected(self, workpiece: Workpiece) -> str:
+        if workpiece.kind in self.reject_kinds:
+            return f"its kind is {workpiece.kind}"
+        for what, value_mm, (least_mm, most_mm) in (
+            ("height", workpiece.height_mm, self.height_mm),
+            ("length", workpiece.size_mm[0], self.size_mm),
+        ):
+            if not least_mm <= value_mm <= most_mm:
+                return f"its {what} {value_mm:.1f} mm is outside {least_mm:g} to {most_mm:g} mm"
+        return ""
+
+
+_BUILT_IN: Mapping[str, type[Rule]] = {
+    "height_order": HeightOrder,
+    "position_correction": PositionCorrection,
+    "element_change": ElementChange,
+}
+
+
+def make_rule(name: str, rule_settings: Mapping[str, Any]) -> Rule:
+    """Make a rule of this package or of an installed one.
+
+    Args:
+        name: the rule's name.
+        rule_settings: its settings.
+
+    Raises:
+        AlarmError: CONFIG_INVALID for an unknown name or settings that the rule refuses.
+    """
+    made: Any = _BUILT_IN.get(name)
+    installed = entry_points(group=ENTRY_POINT_GROUP)
+    try:
+        if made is None:
+            made = next(iter(installed.select(name=name))).load()
+        rule = made(**rule_settings)
+    except StopIteration:
+        known = ", ".join(sorted({*_BUILT_IN, *installed.names}))
+        raise AlarmError(Alarm.CONFIG_INVALID, f"Goal rule {name!r} is not installed; there are: {known}.") from None
+    except (ValidationError, TypeError, ImportError, AttributeError) as error:
+        raise AlarmError(Alarm.CONFIG_INVALID, f"Goal rule {name!r}: {error}.") from error
+    if not isinstance(rule, Rule):
+        raise AlarmError(Alarm.CONFIG_INVALID, f"Goal rule {name!r} is no goal rule but {rule!r}.")
+    return rule
