@@ -1,0 +1,104 @@
+"""Faces fitted to the grey values across their outlines, in painted pictures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from srvs_cell.vision.profile_fit import BLURS_PX, REACH, SETTLE, fit_profiles, measure_blur
+from srvs_cell.vision.profiles import USUAL_BLUR_PX, Pictures
+from tests.vision.painted import TABLE_Z_MM, Part, cuboid, paint, rig
+
+BOX = cuboid(500.0, 50.0, 50.0, 20.0, (60.0, 40.0), 200)
+
+
+def pictures_of(parts: list[Part], *, noise: float, seed: int = 0) -> Pictures:
+    left, right = paint(parts, rig(), noise=noise, seed=seed)
+    return Pictures.of(left, right)
+
+
+def faint(grey: int = 114) -> Part:
+    """Return a part of nearly the table's grey, 110, whose side faces have just the table's."""
+    return replace(BOX, top_grey=grey, side_grey=110)
+
+
+def test_a_faint_face_is_found_from_three_pixels_off_to_tenths_of_a_millimetre() -> None:
+    true = BOX.face
+    # a pixel is 0.55 mm up there
+    start = replace(true, x_mm=true.x_mm + 1.2, y_mm=true.y_mm - 1.0, z_mm=true.z_mm + 4.0)
+    errors, sigmas = [], []
+    for seed in range(3):
+        (fit,) = fit_profiles([start], [False], pictures_of([faint()], noise=1.5, seed=seed), rig(), TABLE_Z_MM, REACH)
+        assert fit is not None
+        errors.append([fit.face.x_mm - true.x_mm, fit.face.y_mm - true.y_mm, fit.face.z_mm - true.z_mm])
+        sigmas.append(np.sqrt(np.diag(fit.covariance_mm2)))
+        assert (fit.face.length_mm, fit.face.width_mm) == pytest.approx((true.length_mm, true.width_mm), abs=0.6)
+    assert np.abs(np.array(errors)[:, :2]).max() < 0.4
+    assert np.abs(np.array(errors)[:, 2]).max() < 4.0
+    # of the right order: neither ten times too sure nor ten times too modest
+    ratio = np.sqrt(np.mean((np.array(errors) / np.array(sigmas)) ** 2))
+    assert 0.1 < ratio < 4.0
+
+
+def test_noise_widens_the_covariance() -> None:
+    calm, loud = (
+        fit_profiles([BOX.face], [False], pictures_of([faint()], noise=noise), rig(), TABLE_Z_MM, SETTLE)[0]
+        for noise in (1.0, 3.0)
+    )
+    assert calm is not None
+    assert loud is not None
+    assert np.trace(loud.covariance_mm2) > 4.0 * np.trace(calm.covariance_mm2)
+
+
+@pytest.mark.parametrize("height_mm", [8.0, 15.0])
+def test_a_sliver_of_dark_side_face_does_not_pull_the_face(height_mm: float) -> None:
+    part = replace(cuboid(500.0, 20.0, height_mm, 10.0, (60.0, 40.0), 150), side_grey=20)
+    (fit,) = fit_profiles([part.face], [False], pictures_of([part], noise=1.0), rig(), TABLE_Z_MM, SETTLE)
+    assert fit is not None
+    assert (fit.face.x_mm, fit.face.y_mm) == pytest.approx((part.face.x_mm, part.face.y_mm), abs=0.15)
+    assert (fit.face.length_mm, fit.face.width_mm) == pytest.approx((60.0, 40.0), abs=0.4)
+    assert fit.face.z_mm == pytest.approx(part.face.z_mm, abs=1.0)
+
+
+def test_a_good_fit_is_told_from_a_bad_one() -> None:
+    pictures = pictures_of([BOX], noise=1.0)
+    elsewhere = replace(BOX.face, x_mm=BOX.face.x_mm - 80.0)
+    there, nowhere = fit_profiles([BOX.face, elsewhere], [False, False], pictures, rig(), TABLE_Z_MM, SETTLE)
+    assert there is not None
+    assert nowhere is not None
+    assert there.rms_px < 0.15
+    assert there.support > 0.95
+    assert nowhere.support < 0.5
+
+
+def test_an_outline_behind_the_camera_gives_no_fit() -> None:
+    pictures = pictures_of([BOX], noise=1.0)
+    above = replace(BOX.face, z_mm=700.0)
+    fits = fit_profiles([above, BOX.face], [False, False], pictures, rig(), TABLE_Z_MM, SETTLE)
+    assert fits[0] is None
+    assert fits[1] is not None
+    assert fit_profiles([], [], pictures, rig(), TABLE_Z_MM) == []
+
+
+def test_the_blur_that_was_painted_is_picked() -> None:
+    clean = paint([BOX], rig(), noise=0.0)
+    picked = []
+    # painted: pixel area (variance 1/12), and a Gaussian of 0.7
+    for more in (0.0, 0.8):
+        blurred = [cv2.GaussianBlur(image, (0, 0), more) if more else image for image in clean]
+        pictures = Pictures.of(*(np.asarray(image, dtype=np.uint8) for image in blurred))
+        picked.append(measure_blur([BOX.face], pictures, rig(), TABLE_Z_MM))
+        painted = float(np.sqrt(0.7**2 + more**2 + 1.0 / 12.0))
+        # reading between pixels widens a border a little
+        nearest = sorted(BLURS_PX, key=lambda blur: abs(blur - painted))[:3]
+        assert picked[-1] in nearest
+    assert picked[0] < picked[1]
+    assert measure_blur([], pictures, rig(), TABLE_Z_MM) == USUAL_BLUR_PX
+
+
+def test_the_noise_is_measured() -> None:
+    assert pictures_of([BOX], noise=2.0).noise == pytest.approx(2.0, rel=0.25)
+    assert pictures_of([BOX], noise=0.0).noise == 0.5

@@ -1,0 +1,132 @@
+"""What rises over a table, and what only lies on it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+
+from srvs_cell.vision.face_fit import FaceFit
+from srvs_cell.vision.rectification import RectifiedPair
+from srvs_cell.vision.relief import Relief, measure_relief, risen, rising_outlines
+from srvs_cell.vision.tops import Top, explained_polygons
+from tests.vision.painted import SIZE, TABLE_Z_MM, Part, cuboid, outline_mm, paint, rig
+
+if TYPE_CHECKING:
+    from srvs_cell.geometry import Array
+
+BOX = cuboid(490.0, 80.0, 40.0, 20.0, (60.0, 40.0), 180)
+SHADOW = cuboid(520.0, 10.0, 0.0, 40.0, (50.0, 40.0), 70)
+
+
+def pair_of(parts: list[Part], *, noise: float = 1.0) -> RectifiedPair:
+    left, right = paint(parts, rig(), noise=noise)
+    seen = np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)
+    return RectifiedPair(left, right, seen, seen, rig())
+
+
+def relief_of(parts: list[Part]) -> Relief:
+    return measure_relief(pair_of(parts), TABLE_Z_MM, None)
+
+
+def picture(part: Part) -> Array:
+    """Return the outline of a part's top face in the left image, shape (N, 2)."""
+    x, y, _ = rig().project_px(outline_mm(part))
+    return np.column_stack([x, y])
+
+
+def length_px(outline: Array) -> float:
+    return float(cv2.arcLength(outline.astype(np.float32), closed=True))
+
+
+def around(part: Part, grown_px: float) -> Array:
+    outline = picture(part)
+    rays = outline - outline.mean(axis=0)
+    grown: Array = outline + grown_px * rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return grown
+
+
+@pytest.fixture(scope="module")
+def both() -> Relief:
+    return relief_of([BOX, SHADOW])
+
+
+def test_a_face_at_a_height_rises_and_a_shadow_does_not(both: Relief) -> None:
+    face, shadow = risen(both, [around(BOX, 25.0), around(SHADOW, 25.0)])
+    assert face > 2.0 * length_px(picture(BOX))
+    assert shadow < 0.02 * length_px(picture(SHADOW))
+
+
+def test_bare_noise_rises_nowhere_and_is_measured() -> None:
+    relief = relief_of([])
+    assert relief.rises.mean() < 2e-3
+    assert 0.1 < relief.noise < 1.0
+    assert rising_outlines(relief, [], 100) == []
+
+
+@pytest.mark.parametrize("height_mm", [10.0, 20.0, 80.0])
+def test_every_height_leaves_its_seam(height_mm: float) -> None:
+    part = cuboid(500.0, 50.0, height_mm, 20.0, (60.0, 40.0), 180)
+    (pixels,) = risen(relief_of([part]), [around(part, 30.0)])
+    assert pixels > 1.5 * length_px(picture(part))
+
+
+def test_the_outline_of_what_rises_encloses_the_face(both: Relief) -> None:
+    (outline,) = rising_outlines(both, [], 500)
+    hull = outline.astype(np.float32)
+    for x, y in picture(BOX):
+        assert cv2.pointPolygonTest(hull, (float(x), float(y)), measureDist=True) > -3.0
+    # it is doubled by the parallax, and no more than that
+    assert cv2.contourArea(hull) < 2.0 * cv2.contourArea(picture(BOX).astype(np.float32))
+
+
+def test_a_face_whose_border_shows_in_two_pieces_is_enclosed_by_both_together() -> None:
+    """Borders along the baseline fall on themselves: only the left and the right border of a face rise."""
+    shape = (200, 200)
+    rises = np.zeros(shape, dtype=np.bool_)
+    rises[60:120, 50:56] = rises[60:120, 130:136] = True
+    relief = Relief(np.zeros(shape, dtype=np.float32), rises, 0.5, np.ones(shape, dtype=np.bool_))
+    boxes = [(tuple(outline.min(axis=0)), tuple(outline.max(axis=0))) for outline in rising_outlines(relief, [])]
+    assert ((50.0, 60.0), (135.0, 119.0)) in boxes
+    assert len(boxes) == 3
+    # pieces of something unknown are not taken together
+    assert len(rising_outlines(relief, [], 100)) == 2
+    # one above the other they are not two borders of one face
+    rises[:] = False
+    rises[20:60, 50:56] = rises[120:160, 130:136] = True
+    assert ((50.0, 20.0), (135.0, 159.0)) not in [
+        (tuple(outline.min(axis=0)), tuple(outline.max(axis=0))) for outline in rising_outlines(relief, [])
+    ]
+
+
+def test_what_a_known_part_explains_is_taken_away(both: Relief) -> None:
+    top = Top(FaceFit(BOX.face, np.eye(3), 0.1, 1.0), ())
+    polygons = explained_polygons([top], rig(), TABLE_Z_MM)
+    assert rising_outlines(both, polygons, 500) == []
+    assert rising_outlines(both, [around(SHADOW, 25.0)], 500) != []
+
+
+def test_each_rising_pixel_counts_once() -> None:
+    shape = (100, 100)
+    rises = np.zeros(shape, dtype=np.bool_)
+    rises[20:40, 30:60] = True
+    relief = Relief(np.zeros(shape, dtype=np.float32), rises, 0.5, np.ones(shape, dtype=np.bool_))
+    left_half = np.array([[0.0, 0.0], [44.0, 0.0], [44.0, 99.0], [0.0, 99.0]])
+    whole = np.array([[0.0, 0.0], [99.0, 0.0], [99.0, 99.0], [0.0, 99.0]])
+    assert risen(relief, [left_half, whole]) == [300, 300]
+    assert risen(relief, [whole, left_half]) == [600, 0]
+    assert risen(relief, []) == []
+    assert rises.sum() == 600
+
+
+def test_what_one_image_did_not_see_does_not_rise() -> None:
+    pair = pair_of([BOX])
+    blind = np.ones_like(pair.left_valid)
+    x, y = np.rint(picture(BOX).mean(axis=0)).astype(int)
+    blind[y - 90 : y + 90, x - 110 : x + 110] = False
+    relief = measure_relief(RectifiedPair(pair.left, pair.right, blind, pair.right_valid, pair.rig), TABLE_Z_MM, None)
+    assert not relief.valid[y, x]
+    assert risen(relief, [around(BOX, 25.0)]) == [0]
+    assert risen(measure_relief(pair, TABLE_Z_MM, None), [around(BOX, 25.0)])[0] > 300

@@ -1,0 +1,56 @@
+"""What the relief over the table says of top faces that the edges told."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from srvs_cell.scene import UNKNOWN_KIND, PlaneImage
+from srvs_cell.vision.face_fit import EdgeField, FaceFit
+from srvs_cell.vision.recognition import RecognitionParameters, recognise
+from srvs_cell.vision.rectification import RectifiedPair
+from srvs_cell.vision.relief import measure_relief
+from srvs_cell.vision.tops import Top
+from srvs_cell.vision.verification import verify_tops
+from tests.vision.painted import SIZE, TABLE_Z_MM, cuboid, paint, planes, rig
+
+BOX = cuboid(490.0, 80.0, 40.0, 20.0, (60.0, 40.0), 180)
+SHADOW = cuboid(520.0, 0.0, 0.0, 40.0, (50.0, 40.0), 70)
+
+
+def test_a_shadow_that_edges_took_for_a_top_is_dropped() -> None:
+    cameras = rig()
+    left, right = paint([BOX, SHADOW], cameras)
+    seen = np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)
+    relief = measure_relief(RectifiedPair(left, right, seen, seen, cameras), TABLE_Z_MM, None)
+    # false matches gave the shadow a height: there it shares its place with no other face
+    false = cuboid(520.0, 0.0, 10.0, 40.0, (50.0, 40.0), 70).face
+    tops = [Top(FaceFit(face, 0.01 * np.eye(3), 0.3, 1.0), (number,)) for number, face in enumerate((BOX.face, false))]
+    nothing = np.zeros((SIZE[1], SIZE[0]), np.int32)
+    images = (PlaneImage(left, nothing, ()), PlaneImage(right, nothing, ()))
+    fields = (EdgeField.of(left), EdgeField.of(right))
+    standing, unseen = verify_tops(tops, relief, images, fields, cameras, TABLE_Z_MM, RecognitionParameters())
+    assert [top.surfaces for top in standing] == [(0,)]
+    assert unseen == []
+
+
+def test_what_rises_and_is_no_figure_comes_out_as_unknown() -> None:
+    """A star that floats over the table has no outline that a top face has."""
+    cameras = rig()
+    turn = np.arange(10) * np.pi / 5.0
+    reach = np.where(np.arange(10) % 2 == 0, 55.0, 18.0)
+    star = np.column_stack([500.0 + reach * np.cos(turn), 50.0 + reach * np.sin(turn), np.full(10, TABLE_Z_MM + 50.0)])
+    x, y, disparity = cameras.project_px(star)
+    images = []
+    for side, bare in enumerate(paint([], cameras)):
+        corners = np.rint(np.column_stack([x - side * disparity, y]) * 16.0).astype(np.int32)
+        cv2.fillPoly(bare, [corners], 190, cv2.LINE_AA, 4)
+        images.append(bare)
+    seen = np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)
+    relief = measure_relief(RectifiedPair(images[0], images[1], seen, seen, cameras), TABLE_Z_MM, None)
+    left, right, _ = planes([], cameras, images, disparity_noise_px=0.0)
+    found = recognise((), left, right, cameras, TABLE_Z_MM, None, None, relief)
+    assert UNKNOWN_KIND in {workpiece.kind for workpiece in found}
+    unknown = next(workpiece for workpiece in found if workpiece.kind == UNKNOWN_KIND)
+    assert np.hypot(unknown.position_mm[0] - 500.0, unknown.position_mm[1] - 50.0) < 30.0
+    assert unknown.grasp is None
