@@ -78,6 +78,7 @@ class Unit:
         self._runner = JobRunner(equipment, self._hand, self._notices, self._readiness.keep_status)
         self._work = StateWork(equipment, self._hand, self._notices, self._readiness, self._runner, self._issue)
         self._transitions = asyncio.Event()
+        self._opened = False
         self._rounds = 0
 
     @property
@@ -170,7 +171,7 @@ class Unit:
 
     async def run(self) -> None:
         """Do the work of the states until cancelled; a move under way is then stopped on request."""
-        await self._open_journal()
+        await self.open()
         await self._readiness.connect()
         self._notices.changed()
         monitor = asyncio.create_task(self._monitor())
@@ -188,8 +189,13 @@ class Unit:
         """Close the journal; after `run` was cancelled."""
         await self._notices.close()
 
+    async def open(self) -> None:
+        """Open the journal and learn what the last process left behind, once; before anybody gives a command."""
+        if not self._opened:
+            self._opened = True
+            await self._open_journal()
+
     async def _open_journal(self) -> None:
-        """Open the journal and learn what the last process left behind."""
         try:
             left = await self._notices.written(self._journal.open())
             self._notices.clear_alarms(Alarm.JOURNAL_FAILED)

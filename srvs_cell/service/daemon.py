@@ -93,6 +93,8 @@ async def _operate(
     closing = asyncio.Event()
     page_url = None if tcp is None else f"http://{_LOOPBACK}:{tcp.getsockname()[1]}/"
     app = create_app(unit, unit.journal, service.state_dir / _RUNS, closing=closing, page_url=page_url)
+    # a command that comes at once must meet a unit that knows what the gripper holds
+    await unit.open()
     async with serving(app, unix, tcp) as servers:
         life = asyncio.create_task(unit.run())
         stop = asyncio.create_task(stopping.wait())
