@@ -103,7 +103,8 @@ class TableReference:
         x, y = (x_px - c_x) / budget.f_px, (y_px - c_y) / budget.f_px
         one, none = np.ones_like(x), np.zeros_like(x)
         u = [one, x, y, none, none, none, x * x, x * y]
-        v = [none, none, none, one, x, y, x * y, y * y]
+        # u counts to the left, v downwards
+        v = [none, none, none, one, x, y, -x * y, -y * y]
         x_right = x - disparity_px / budget.f_px
         for power in (1, 2):
             left, right = (x**2 + y**2) ** power, (x_right**2 + y**2) ** power
