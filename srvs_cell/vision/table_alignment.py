@@ -35,12 +35,16 @@ _SOBEL = 8.0 * _SCALE
 """What a 3x3 Sobel operator makes of a grey value per pixel of the full image."""
 _NOISE_FACTOR = 1.6
 _SLACK_PX = (0.5, 0.3, 0.2, 0.15, 0.15)
-"""Displacement that the energy of a block's residual may stem from, iteration by iteration."""
-_LOOSE_PX = 0.15
+"""Displacement that a block may show and its residual may stem from, iteration by iteration."""
 _LOOSE_SIGMA = 3.0
 _MEDIAN_CHI2 = 1.386
 """Median of chi squared with two degrees of freedom."""
 _RIDGE = 1e-6
+_LEAST_NOISE2 = 0.01
+"""Variance of the residual below which rounding to whole grey values is all there is."""
+_NOISE_SLOPE = 0.046
+"""Variance of a slope that is nothing but noise, per variance of the residual: 18.2 of the Sobel operator on halved
+noise over 16 squared, half of it the left image's, and 30 % more so that chance does not pass for texture."""
 _FLOOR_PX = 0.15
 """Standard deviation of a block's displacement that no texture lessens: what stands near it, lens, table."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -239,12 +243,14 @@ class _Grid:
         # what stands in one block reaches into its neighbours
         stands = (self.valid & ~usable).reshape(self.shape).astype(np.uint8)
         usable &= cv2.dilate(stands, np.ones((3, 3), np.uint8)).ravel() == 0
-        information = (self.structure + _RIDGE * (1.0 + trace)[:, None, None] * np.eye(2)) / max(noise2, _RIDGE)
+        # slopes that are noise tell nothing of a displacement
+        told = np.maximum(1.0 - 2.0 * size * _NOISE_SLOPE * noise2 / np.maximum(trace, _RIDGE), _RIDGE)
+        information = self.structure * (told / max(noise2, _LEAST_NOISE2))[:, None, None] + _RIDGE * np.eye(2)
         # residual = left - right(displaced): its derivative by u is -slope_x of the picture's content, by v slope_y
         safe = self.structure + _RIDGE * (1.0 + trace)[:, None, None] * np.eye(2)
         displacement = np.linalg.solve(safe, gradient[..., None])[..., 0]
         sigma = np.sqrt(np.linalg.inv(safe)[:, (0, 1), (0, 1)] * noise2)
-        usable &= (np.abs(displacement) <= _LOOSE_PX + _LOOSE_SIGMA * sigma).all(axis=1)
+        usable &= (np.abs(displacement) <= slack_px + _LOOSE_SIGMA * sigma).all(axis=1)
         chi2 = np.einsum("bi,bij,bj->b", displacement, information, displacement)
         inflation = max(1.0, float(np.median(chi2[usable])) / _MEDIAN_CHI2) if usable.any() else 1.0
         return _Linearised(usable, displacement, information, inflation)
