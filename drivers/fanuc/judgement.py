@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from drivers.fanuc.outcome import alarm_outcome, apart
 from drivers.fanuc.registers import FIRST_FAULT_IN_MOTION, FaultCode, Snapshot, State, UopOutput
 from srvs_cell.alarms import Alarm
-from srvs_cell.geometry import Transform, Xyzwpr, pose_difference
 from srvs_cell.ports import (
     CommandRejectedError,
     DeviceFaultError,
@@ -18,16 +18,8 @@ from srvs_cell.ports import (
 )
 
 if TYPE_CHECKING:
+    from srvs_cell.geometry import Xyzwpr
     from srvs_cell.ports import PortError
-
-_UNREACHABLE: Final = {"MOTN-017", "MOTN-018"}
-"""Limit error, position not reachable."""
-
-_COLLISION: Final = {"SRVO-050"}
-"""Collision detect alarm."""
-
-_STANDING_MM: Final = 0.5
-"""An arm nearer than this to where it started has not moved: above the repeatability of reported poses."""
 
 _FAULT_TEXTS: Final = {
     FaultCode.UNKNOWN_COMMAND: "unknown command",
@@ -110,7 +102,7 @@ def finished(snapshot: Snapshot, sequence: int, start: Xyzwpr, *, hold_requested
 
 def arrival_error(reported: Xyzwpr, target: Xyzwpr, tolerance_mm: float, tolerance_deg: float) -> PortError | None:
     """Return an error where a finished move has not ended at its target."""
-    distance_mm, angle_deg = _apart(reported, target)
+    distance_mm, angle_deg = apart(reported, target)
     if distance_mm <= tolerance_mm and angle_deg <= tolerance_deg:
         return None
     return DeviceFaultError(
@@ -139,7 +131,7 @@ class MotionBudget:
         Twice and the grace cover acceleration, a path that is not straight, and the controller's latency of about
         150 ms from register write to motion (references/fanuc.md 1b).
         """
-        distance_mm, angle_deg = _apart(start, target)
+        distance_mm, angle_deg = apart(start, target)
         return cls(2.0 * (distance_mm / speed_mm_s + angle_deg / speed_deg_s) + grace_s)
 
     def spend(self, elapsed_s: float, override_percent: int) -> bool:
@@ -152,10 +144,6 @@ class MotionBudget:
         if not self._limited:
             self._limited = True
             self.allowed_s = min(self.allowed_s, self.spent_s + left_s)
-
-
-def _apart(a: Xyzwpr, b: Xyzwpr) -> tuple[float, float]:
-    return pose_difference(Transform.from_xyzwpr("base", "tcp", a), Transform.from_xyzwpr("base", "tcp", b))
 
 
 def _unknown(detail: str) -> OutcomeUnknownError:
@@ -179,9 +167,4 @@ def _program_fault(snapshot: Snapshot) -> PortError:
 
 def _controller_fault(snapshot: Snapshot, start: Xyzwpr) -> PortError:
     detail = f"Controller alarm {snapshot.alarm or 'not named'} at {snapshot.pose}."
-    if snapshot.alarm in _COLLISION:
-        return DeviceFaultError(Alarm.COLLISION, detail)
-    if snapshot.alarm in _UNREACHABLE:
-        standing = _apart(snapshot.pose, start)[0] < _STANDING_MM
-        return (CommandRejectedError if standing else DeviceFaultError)(Alarm.TARGET_UNREACHABLE, detail)
-    return DeviceFaultError(Alarm.ROBOT_FAULT, detail)
+    return alarm_outcome(snapshot.alarm or "", detail, start, snapshot.pose)

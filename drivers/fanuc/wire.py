@@ -6,13 +6,12 @@ Time-outs here are real time: they bound the wire, not the work of the robot.
 from __future__ import annotations
 
 import asyncio
-import errno
-import socket
 from typing import TYPE_CHECKING
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
+from drivers.fanuc.connection import why_not_connected
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import NotConnectedError, PortError
 
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
     from pymodbus.pdu import ModbusPDU
-
-_NO_ROUTE = frozenset({errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN, errno.ENETDOWN})
 
 
 class ModbusWire:
@@ -46,26 +43,9 @@ class ModbusWire:
         client = AsyncModbusTcpClient(
             self._host, port=self._port, timeout=self._timeout_s, retries=0, reconnect_delay=0
         )
-        try:
+        with why_not_connected(self.address, self._host, self._port, self._timeout_s):
             # pymodbus's own connect() turns every reason into False; this is the call that it makes inside.
             await asyncio.wait_for(client.ctx.call_create(), self._timeout_s)
-        except TimeoutError as error:
-            raise NotConnectedError(
-                Alarm.CONNECTION_TIMEOUT, f"{self.address}: no answer to the connection within {self._timeout_s} s."
-            ) from error
-        except ConnectionRefusedError as error:
-            raise NotConnectedError(
-                Alarm.CONNECTION_REFUSED, f"{self.address}: connection refused, nothing listens on port {self._port}."
-            ) from error
-        except socket.gaierror as error:
-            raise NotConnectedError(
-                Alarm.DEVICE_UNAVAILABLE, f"{self.address}: the name {self._host!r} cannot be resolved ({error})."
-            ) from error
-        except OSError as error:
-            reason = "no route to this address" if error.errno in _NO_ROUTE else "the connection failed"
-            raise NotConnectedError(
-                Alarm.DEVICE_UNAVAILABLE, f"{self.address}: {reason} ({error.strerror or error})."
-            ) from error
         self._client = client
 
     def close(self) -> None:

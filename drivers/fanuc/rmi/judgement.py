@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from drivers.fanuc.outcome import alarm_outcome, apart, moved
 from drivers.fanuc.rmi.errors import describe, meaning
 from srvs_cell.alarms import Alarm
-from srvs_cell.geometry import Transform, Xyzwpr, pose_difference
 from srvs_cell.ports import (
     CommandRejectedError,
     DeviceFaultError,
@@ -17,19 +17,11 @@ from srvs_cell.ports import (
 
 if TYPE_CHECKING:
     from drivers.fanuc.rmi.messages import Packet, Place, Status
+    from srvs_cell.geometry import Xyzwpr
     from srvs_cell.ports import PortError
-
-_UNREACHABLE: Final = ("MOTN-017", "MOTN-018")
-"""Limit error, position not reachable."""
-
-_COLLISION: Final = ("SRVO-050",)
-"""Collision detect alarm."""
 
 _FRAMES: Final = ("INTP-252", "INTP-253")
 """User frame and tool frame number mismatch."""
-
-_STANDING_MM: Final = 0.5
-"""An arm nearer than this to where it started has not moved: above the repeatability of reported poses."""
 
 _STILL_MM, _STILL_DEG = 0.02, 0.02
 
@@ -94,25 +86,12 @@ def alarm_error(alarm: str | None, target: Xyzwpr, start: Xyzwpr, stands: Xyzwpr
             Alarm.MOTION_STOPPED, f"The move to {target} was paused at the robot and is aborted, at {stands}."
         )
     detail = f"Controller alarm {alarm} on the way to {target}, the arm stands at {stands}."
-    for names, what in ((_COLLISION, Alarm.COLLISION), (_UNREACHABLE, Alarm.TARGET_UNREACHABLE)):
-        if alarm.startswith(names):
-            refused = what is Alarm.TARGET_UNREACHABLE and not moved(start, stands)
-            return (CommandRejectedError if refused else DeviceFaultError)(what, detail)
     if alarm.startswith(_FRAMES) and not moved(start, stands):
         return CommandRejectedError(Alarm.FRAME_CHANGED, detail)
-    return DeviceFaultError(Alarm.ROBOT_FAULT, detail)
-
-
-def moved(start: Xyzwpr, stands: Xyzwpr) -> bool:
-    """Say whether an arm has left its start."""
-    return _apart(start, stands)[0] > _STANDING_MM
+    return alarm_outcome(alarm, detail, start, stands)
 
 
 def still(earlier: Xyzwpr, later: Xyzwpr) -> bool:
     """Say whether two readings are of a standing arm."""
-    distance_mm, angle_deg = _apart(earlier, later)
+    distance_mm, angle_deg = apart(earlier, later)
     return distance_mm < _STILL_MM and angle_deg < _STILL_DEG
-
-
-def _apart(a: Xyzwpr, b: Xyzwpr) -> tuple[float, float]:
-    return pose_difference(Transform.from_xyzwpr("base", "tcp", a), Transform.from_xyzwpr("base", "tcp", b))

@@ -6,18 +6,15 @@ Time-outs here are real time: they bound the wire, not the work of the robot.
 from __future__ import annotations
 
 import asyncio
-import errno
-import socket
 from typing import TYPE_CHECKING
 
+from drivers.fanuc.connection import why_not_connected
 from drivers.fanuc.rmi.framing import LineBuffer
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import NotConnectedError, PortError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-_NO_ROUTE = frozenset({errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN, errno.ENETDOWN})
 
 
 class LineWire(asyncio.Protocol):
@@ -37,26 +34,9 @@ class LineWire(asyncio.Protocol):
     async def connect(self, host: str, port: int, timeout_s: float) -> None:
         """Open the connection; raises `NotConnectedError` that says why it cannot be opened."""
         self.address = address = f"{host}:{port}"
-        try:
+        with why_not_connected(address, host, port, timeout_s):
             async with asyncio.timeout(timeout_s):
                 await asyncio.get_running_loop().create_connection(lambda: self, host, port)
-        except TimeoutError as error:
-            raise NotConnectedError(
-                Alarm.CONNECTION_TIMEOUT, f"{address}: no answer to the connection within {timeout_s} s."
-            ) from error
-        except ConnectionRefusedError as error:
-            raise NotConnectedError(
-                Alarm.CONNECTION_REFUSED, f"{address}: connection refused, nothing listens on port {port}."
-            ) from error
-        except socket.gaierror as error:
-            raise NotConnectedError(
-                Alarm.DEVICE_UNAVAILABLE, f"{address}: the name {host!r} cannot be resolved ({error})."
-            ) from error
-        except OSError as error:
-            reason = "no route to this address" if error.errno in _NO_ROUTE else "the connection failed"
-            raise NotConnectedError(
-                Alarm.DEVICE_UNAVAILABLE, f"{address}: {reason} ({error.strerror or error})."
-            ) from error
 
     def send(self, packet: bytes) -> None:
         """Send one packet; what becomes of it shows in the reply, or in the end of the connection."""

@@ -214,9 +214,8 @@ async def test_garbage_is_answered_with_an_abort_and_goodbye() -> None:
         with pytest.raises(OutcomeUnknownError):
             await task
         await b.said_goodbye()
-        await b.clock.sleep(0.5)
+        await b.stopped()
         assert b.controller.server.received[-2:] == ["FRC_Abort", "FRC_Disconnect"]
-        assert not b.point.moving
 
 
 @given(st.lists(st.binary(max_size=64), min_size=1, max_size=4))
