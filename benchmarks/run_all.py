@@ -12,10 +12,13 @@ from pathlib import Path
 HERE = Path(__file__).parent
 SCRIPTS: tuple[tuple[str, ...], ...] = (
     ("plan_problems.py",),
+    ("plan_scale.py",),
     ("perceive_middlebury.py",),
     ("perceive_chessboard.py",),
     ("perceive_rendered.py",),
+    ("planes_against_lines.py",),
     ("perception_time.py",),
+    ("growth.py",),
     ("daemon_cost.py",),
     ("demo_seeds.py", "--workers", "2"),
 )

@@ -47,7 +47,7 @@ class Alarm(Enum):
     """Every failure that a person can meet."""
 
     # fmt: off
-    CONNECTION_REFUSED = AlarmDefinition(1001, _C, Reaction.ABORT, "The controller is reachable but refuses the connection.", "Check that the robot's server option is enabled (R553: $SNPX_PARAM.$NUM_MODBUS > 0, power-cycled) and the port in the config.")
+    CONNECTION_REFUSED = AlarmDefinition(1001, _C, Reaction.ABORT, "The controller is reachable but refuses the connection.", "Check that the robot's server option is enabled (Modbus: R553, $SNPX_PARAM.$NUM_MODBUS > 0, power-cycled; RMI: R912) and the port in the config.")
     CONNECTION_TIMEOUT = AlarmDefinition(1002, _C, Reaction.ABORT, "The device did not answer in time.", "Check cable, IP address, unit id and firewall; then clear and reset.")
     CONNECTION_LOST = AlarmDefinition(1003, _C, Reaction.ABORT, "The connection to the controller was cut.", "Check the cable and the controller's power; clear, reset, and let the cell look again before it moves.")
     HEARTBEAT_LOST = AlarmDefinition(1004, _C, Reaction.ABORT, "The robot's heartbeat has stopped.", "Check that the heartbeat task runs on the robot (RUN SRVS_HB) and that the controller is not in a fault.")
