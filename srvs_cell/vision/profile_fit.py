@@ -72,8 +72,9 @@ def fit_profiles(
         effort: width of the model's border over the picture's in each iteration; wide ones reach farther.
 
     Returns:
-        For each start a fit, or None where the outline is not in front of the cameras. Its ``rms_px`` is the displacement of the
-        borders that would cause the misfit, its ``support`` the share of the outline that is seen in both images.
+        For each start a fit, or None where the outline is not in front of the cameras. Its ``rms_px`` is the
+        displacement of the borders that would cause the misfit, its ``support`` the share of the outline that is seen
+        in both images.
     """
     fits: list[FaceFit | None] = [None] * len(starts)
     if not starts:
