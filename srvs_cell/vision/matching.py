@@ -9,6 +9,9 @@ The text takes the maxima over *all* planes, so that a plane elsewhere in the im
 the place of the right one, which then finds no partner. `Maxima.ADMISSIBLE` takes them over the candidates. "MF = MAX"
 is a mutual arg-max; where several planes have the same greatest MF, the candidate with the least sum of relative
 differences DIFF_i / min_i wins, then the one with the lowest id.
+
+Rows are epipolar lines, so that a plane has few others on its rows: only pairs inside the maximum row distance are
+ever formed, and the time grows with their number, not with that of all pairs.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srvs_cell.vision.match_order import EligiblePairs, fooled
+from srvs_cell.vision.near_pairs import near_pairs
 from srvs_cell.vision.parameters import Maxima
 
 if TYPE_CHECKING:
@@ -27,23 +32,13 @@ if TYPE_CHECKING:
 
     from srvs_cell.geometry import Array
     from srvs_cell.scene import Plane
+    from srvs_cell.vision.near_pairs import Numbers
     from srvs_cell.vision.parameters import MatchingParameters
-
-    _Mask = NDArray[np.bool_]
-    _Numbers = NDArray[np.intp]
 
 _DARKEST = 1e-6
 """Keeps the ratio of two black planes defined: it is 1."""
-_ALIKE = 0.03
-"""Match functions that differ by less tell nothing: the noise, and the light on two sides of a table, differ more."""
-_NEAR_PX = 150.0
-"""Matches within this distance have a say in each other's disparity."""
-_STEEPEST = 0.2
-"""Neighbours on one surface differ in disparity by less than this share of their distance."""
-_MANY = 2
-_FAR = 4
-"""A match without alternative falls where it crosses at least `_MANY` with `_FAR` times its support: a thing in front
-of a surface crosses few, for its centre lies nearer to theirs than its disparity to theirs only when it is small."""
+_ROUNDING_PX = 1.0
+"""What is looked at beyond the maximum row distance, before the exact gate."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +83,15 @@ class Matching:
     ambiguous: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """The pairs that pass the gates: numbers of left and right plane, and the sum of relative differences, (P,)."""
+
+    rows: Numbers
+    columns: Numbers
+    difference: Array
+
+
 def find_matches(
     left: Sequence[Plane],
     right: Sequence[Plane],
@@ -97,70 +101,64 @@ def find_matches(
     """Match as `match_planes`, and tell which planes stay ambiguous."""
     if not left or not right:
         return Matching()
-    candidate, difference = _candidates(left, right, disparity_range_px, parameters)
-    bright_left = np.maximum([plane.brightness for plane in left], _DARKEST)[:, None]
-    bright_right = np.maximum([plane.brightness for plane in right], _DARKEST)[None, :]
-    score = np.minimum(bright_left, bright_right) / np.maximum(bright_left, bright_right)
-    running = score if parameters.maxima is Maxima.ALL_PLANES else np.where(candidate, score, -np.inf)
-    best = (score == running.max(axis=1, keepdims=True)) & (score == running.max(axis=0, keepdims=True))
-    eligible = candidate & (score > parameters.match_threshold)
-    accepted = eligible & best
-    ranked = np.where(accepted, difference, np.inf)
-    of_left, of_right = ranked.argmin(axis=1), ranked.argmin(axis=0)
-    rows = np.flatnonzero(accepted[np.arange(len(left)), of_left] & (of_right[of_left] == np.arange(len(left))))
-    columns = of_left[rows]
-    unsure = np.zeros(rows.size, dtype=np.bool_)
-    if parameters.ordered and rows.size:
-        rivals = eligible & (score > score.max(axis=1, where=eligible, initial=0.0)[:, None] - _ALIKE)
-        unsure = _fooled(left, right, (rows, columns), eligible, rivals)
+    candidates = _candidates(left, right, disparity_range_px, parameters)
+    rows, columns = candidates.rows, candidates.columns
+    bright_left, bright_right = (
+        np.maximum([plane.brightness for plane in planes], _DARKEST) for planes in (left, right)
+    )
+    score = _ratio(bright_left[rows], bright_right[columns])
+    if parameters.maxima is Maxima.ALL_PLANES:
+        greatest_left, greatest_right = _greatest(bright_left, bright_right), _greatest(bright_right, bright_left)
+    else:
+        greatest_left, greatest_right = np.zeros(len(left)), np.zeros(len(right))
+        np.maximum.at(greatest_left, rows, score)
+        np.maximum.at(greatest_right, columns, score)
+    eligible = score > parameters.match_threshold
+    accepted = np.flatnonzero(eligible & (score == greatest_left[rows]) & (score == greatest_right[columns]))
+    matched = _mutual(candidates, accepted)
+    unsure = np.zeros(matched.size, dtype=np.bool_)
+    if parameters.ordered and matched.size:
+        pairs = EligiblePairs(rows[eligible], columns[eligible], score[eligible])
+        unsure = fooled(left, right, (rows[matched], columns[matched]), pairs)
     return Matching(
         tuple(
-            PlanePair(left[row].id, right[column].id, float(score[row, column]))
-            for row, column in zip(rows[~unsure].tolist(), columns[~unsure].tolist(), strict=True)
+            PlanePair(left[rows[pair]].id, right[columns[pair]].id, float(score[pair]))
+            for pair in matched[~unsure].tolist()
         ),
-        tuple(left[row].id for row in rows[unsure].tolist()),
+        tuple(left[row].id for row in rows[matched[unsure]].tolist()),
     )
 
 
-def _fooled(
-    left: Sequence[Plane],
-    right: Sequence[Plane],
-    matched: tuple[_Numbers, _Numbers],
-    eligible: _Mask,
-    rivals: _Mask,
-) -> _Mask:
-    """Return which matches cross better ones, or have rivals that the matches around them favour no less.
+def _ratio(brightness: Array, other: Array) -> Array:
+    """Return the match function MF."""
+    ratio: Array = np.minimum(brightness, other) / np.maximum(brightness, other)
+    return ratio
 
-    Args:
-        left: all planes of the left image.
-        right: all planes of the right image.
-        matched: numbers of the left and the right plane of each match, shape (K,) each.
-        eligible: pairs inside the gates, shape (N, M).
-        rivals: those of them that are about as alike as each left plane's best.
+
+def _greatest(brightness: Array, others: Array) -> Array:
+    """Return the greatest MF of each plane with any other: with its neighbours in the order of brightness."""
+    ordered = np.sort(others)
+    above = np.minimum(np.searchsorted(ordered, brightness), ordered.size - 1)
+    below = np.maximum(above - 1, 0)
+    return np.maximum(_ratio(brightness, ordered[above]), _ratio(brightness, ordered[below]))
+
+
+def _mutual(candidates: _Candidates, accepted: Numbers) -> Numbers:
+    """Return which accepted pairs have the least difference of their left and of their right plane, by ascending left.
+
+    Of equal differences the lowest number of the other image's plane wins.
     """
-    rows, columns = matched
-    centres_left, centres_right = (np.array([plane.centre_px for plane in planes]) for planes in (left, right))
-    x_left, y_left = centres_left[rows].T
-    x_right = centres_right[columns, 0]
-    disparity = x_left - x_right
-    distance = np.hypot(x_left[:, None] - x_left, y_left[:, None] - y_left)
-    near = (distance < _NEAR_PX) & (distance > 0.0)
-    support = np.count_nonzero(near & (np.abs(disparity[:, None] - disparity) < _STEEPEST * distance), axis=1)
-    top, height = np.array([(left[row].box_px[1], left[row].box_px[3]) for row in rows.tolist()]).T
-    common = (top[:, None] < top + height) & (top < (top + height)[:, None])
-    crossing = common & ((x_left[:, None] - x_left) * (x_right[:, None] - x_right) < 0.0)
-    several = (np.count_nonzero(eligible[rows], axis=1) > 1) | (np.count_nonzero(eligible[:, columns], axis=0) > 1)
-    outdone = (crossing & (support[:, None] < support)).any(axis=1)
-    far_outdone = np.count_nonzero(crossing & (_FAR * support[:, None] < support), axis=1)
-    unsure: _Mask = np.where(several, outdone, far_outdone >= _MANY)
-    for k in np.flatnonzero(np.count_nonzero(rivals[rows], axis=1) > 1).tolist():
-        others = np.flatnonzero(rivals[rows[k]])
-        around = np.flatnonzero(near[k])
-        shift = x_left[k] - centres_right[others, 0]
-        agreeing = np.abs(shift[:, None] - disparity[around]) < _STEEPEST * distance[k, around]
-        count = np.count_nonzero(agreeing, axis=1)
-        unsure[k] |= bool((count[others != columns[k]] >= count[others == columns[k]].sum()).any())
-    return unsure
+    rows, columns, difference = (
+        values[accepted] for values in (candidates.rows, candidates.columns, candidates.difference)
+    )
+    best = np.ones(accepted.size, dtype=np.bool_)
+    for own, other in ((rows, columns), (columns, rows)):
+        order = np.lexsort((other, difference, own))
+        first = np.ones(accepted.size, dtype=np.bool_)
+        first[1:] = own[order][1:] != own[order][:-1]
+        best[order] &= first
+    matched: Numbers = accepted[best]
+    return matched
 
 
 def _candidates(
@@ -168,19 +166,23 @@ def _candidates(
     right: Sequence[Plane],
     disparity_range_px: tuple[float, float],
     parameters: MatchingParameters,
-) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]], Array]:
-    """Return which pairs pass the gates, and the sum of their relative differences, both of shape (N, M)."""
+) -> _Candidates:
+    """Return the pairs that pass the gates."""
     centres_left = np.array([plane.centre_px for plane in left])
     centres_right = np.array([plane.centre_px for plane in right])
-    shift = centres_left[:, None, :] - centres_right[None, :, :]
+    reach_px = parameters.max_row_distance_px + _ROUNDING_PX
+    rows, columns = near_pairs(centres_left[:, 1], centres_right[:, 1], reach_px, reach_px)
+    shift = centres_left[rows] - centres_right[columns]
     low, high = disparity_range_px
     margin = parameters.max_column_margin_px
-    candidate = (
-        (np.abs(shift[..., 1]) < parameters.max_row_distance_px)
-        & (shift[..., 0] > low - margin)
-        & (shift[..., 0] < high + margin)
+    inside: NDArray[np.bool_] = (
+        (np.abs(shift[:, 1]) < parameters.max_row_distance_px)
+        & (shift[:, 0] > low - margin)
+        & (shift[:, 0] < high + margin)
     )
-    total = np.zeros(candidate.shape)
+    rows, columns = rows[inside], columns[inside]
+    passed = np.ones(rows.size, dtype=np.bool_)
+    total = np.zeros(rows.size)
     weights = {
         "area_px": parameters.weight_area,
         "short_cut_px": parameters.weight_short_cut,
@@ -188,10 +190,10 @@ def _candidates(
         "perimeter_px": parameters.weight_perimeter,
     }
     for name, weight in weights.items():
-        values_left = np.array([getattr(plane, name) for plane in left])[:, None]
-        values_right = np.array([getattr(plane, name) for plane in right])[None, :]
+        values_left = np.array([getattr(plane, name) for plane in left])[rows]
+        values_right = np.array([getattr(plane, name) for plane in right])[columns]
         least = np.minimum(values_left, values_right)
         difference = np.maximum(values_left, values_right) - least
-        candidate &= difference < least * weight
+        passed &= difference < least * weight
         total += difference / np.maximum(least, _DARKEST)
-    return candidate, total
+    return _Candidates(rows[passed], columns[passed], total[passed])

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from srvs_cell.scene import Plane
 from srvs_cell.vision.matching import Matching, PlanePair, find_matches, match_planes
 from srvs_cell.vision.parameters import MatchingParameters, Maxima
+from tests.vision.straightforward_matching import straightforward
 
 PAPER = MatchingParameters(max_row_distance_px=2.0, max_column_margin_px=0.0, ordered=False)
 RANGE = (10.0, 40.0)
@@ -122,3 +127,73 @@ def test_a_match_that_crosses_better_ones_is_given_up() -> None:
     found = find_matches(left, [*right[:-1], stray], (10.0, 120.0), ordered)
     assert [pair.left for pair in found.pairs] == [1, 2, 3, 4, 5]
     assert found.ambiguous == (6,)
+
+
+@st.composite
+def lists_of_planes(draw: st.DrawFn) -> tuple[list[Plane], list[Plane]]:
+    """Planes of a few places, sizes and greys, so that equals, ties and crossings are common."""
+    numbers = st.integers(0, 4)
+    images = []
+    for _ in range(2):
+        drawn = draw(st.lists(st.tuples(*[numbers] * 7), max_size=9))
+        images.append(
+            [
+                replace(
+                    plane(number, 20.0 * x + 3.0 * off, 40.0 + 1.1 * y, (0.0, 80.0, 81.0, 95.0, 200.0)[grey]),
+                    area_px=400.0 + 25.0 * size,
+                    short_cut_px=9.0 + 0.7 * cut,
+                    box_px=(0, 30 + 4 * y, 20, 4 + 9 * height),
+                )
+                for number, (x, off, y, grey, size, cut, height) in enumerate(drawn, start=1)
+            ]
+        )
+    return images[0], images[1]
+
+
+@given(
+    lists_of_planes(),
+    st.sampled_from(Maxima),
+    st.booleans(),
+    st.sampled_from([0.3, 1.1, 2.2, 50.0]),
+    st.sampled_from([(0.0, 40.0), (-30.0, 90.0)]),
+)
+@settings(max_examples=300, deadline=None)
+def test_the_same_matches_and_doubts_as_by_looking_at_all_pairs(
+    planes: tuple[list[Plane], list[Plane]],
+    maxima: Maxima,
+    ordered: bool,
+    row_distance: float,
+    disparity_range: tuple[float, float],
+) -> None:
+    limits = replace(PAPER, max_row_distance_px=row_distance, maxima=maxima, ordered=ordered)
+    assert find_matches(*planes, disparity_range, limits) == straightforward(*planes, disparity_range, limits)
+
+
+def crowd(seed: int) -> tuple[list[Plane], list[Plane]]:
+    """A table full of parts of a few greys, most of them seen again, some out of their order."""
+    random = np.random.default_rng(seed)
+    count = 45
+    x, y = random.uniform((0.0, 0.0), (400.0, 120.0), (count, 2)).T
+    grey = random.choice([60.0, 90.0, 91.0, 130.0, 190.0], count)
+    area = random.uniform(380.0, 450.0, count)
+    shift = np.where(random.random(count) < 0.75, 20.0 + 0.04 * x, random.uniform(10.0, 90.0, count))
+    boxes = [(0, int(top) - 12, 20, int(height)) for top, height in zip(y, random.integers(8, 40, count), strict=True)]
+    left, right = (
+        [
+            replace(
+                plane(number + 1, float(place[number]), float(y[number]), float(grey[number])), box_px=boxes[number]
+            )
+            for number in range(count)
+        ]
+        for place in (x, x - shift)
+    )
+    left = [replace(each, area_px=float(size)) for each, size in zip(left, area, strict=True)]
+    return left, [right[number] for number in random.permutation(count)[: random.integers(25, count)]]
+
+
+@given(st.integers(0, 10**6), st.sampled_from(Maxima))
+@settings(max_examples=40, deadline=None)
+def test_the_same_on_a_crowded_table(seed: int, maxima: Maxima) -> None:
+    limits = replace(PAPER, ordered=True, maxima=maxima, max_column_margin_px=4.0)
+    left, right = crowd(seed)
+    assert find_matches(left, right, (10.0, 90.0), limits) == straightforward(left, right, (10.0, 90.0), limits)
