@@ -74,6 +74,7 @@ class Alarm(Enum):
     GRIP_TIMEOUT = AlarmDefinition(2103, _C, Reaction.HOLD, "The gripper's sensor did not confirm in time.", "Check air, valve and sensor; 'resolve gripper empty|holding'.")
     GRIPPER_STATE_UNKNOWN = AlarmDefinition(2104, _C, Reaction.ABORT, "It is not known what the gripper holds.", "Look at the gripper and say 'resolve gripper empty' or 'resolve gripper holding'.")
     GRIPPER_OCCUPIED = AlarmDefinition(2105, _E, Reaction.STOP, "The gripper holds a part where none is expected.", "Take the part out of the gripper, then 'resolve gripper empty'.")
+    GRIPPER_FAULT = AlarmDefinition(2106, _C, Reaction.ABORT, "The gripper reports a fault, or is not activated.", "The detail names the fault and what to do; then clear and reset.")
 
     CAMERA_UNAVAILABLE = AlarmDefinition(3001, _C, Reaction.ABORT, "The camera cannot be opened.", "Check cable and device path (use /dev/v4l/by-id); only one program may own the camera.")
     CAMERA_TIMEOUT = AlarmDefinition(3002, _E, Reaction.HOLD, "The camera delivered no frame in time.", "Check cable and USB power; unhold to try again.")

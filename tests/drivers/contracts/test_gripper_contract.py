@@ -1,4 +1,4 @@
-"""What every Gripper promises, over the robot's I/O, the robot's I/O on a real wire, and the object-level double."""
+"""What every Gripper promises, over the robot's I/O, its own serial wire, and the object-level double."""
 
 import contextlib
 from collections.abc import AsyncIterator, Callable
@@ -12,6 +12,7 @@ from srvs_cell.geometry import Xyzwpr
 from srvs_cell.ports import Clock, Gripper, GripState, Lifecycle, NotReadyError, OutcomeUnknownError
 from tests.drivers.fanuc.bench import bench
 from tests.drivers.fanuc.rmi_bench import rmi_bench
+from tests.drivers.gripper.robotiq_bench import PART_AT, robotiq_bench
 from tests.drivers.gripper.valve import CONFIG, Valve
 from tests.drivers.stepped import PointArm, SteppedClock, SteppedTime
 
@@ -81,6 +82,17 @@ async def robot_io_over_rmi() -> AsyncIterator[GripperBench]:
 
 
 @contextlib.asynccontextmanager
+async def robotiq() -> AsyncIterator[GripperBench]:
+    async with robotiq_bench() as b:
+        yield GripperBench(
+            b.gripper,
+            b.clock,
+            lambda: setattr(b.double, "part_at", PART_AT),
+            lambda: setattr(b.double, "stuck", True),
+        )
+
+
+@contextlib.asynccontextmanager
 async def fake() -> AsyncIterator[GripperBench]:
     clock = StepClock()
     world = World([])
@@ -93,7 +105,10 @@ async def fake() -> AsyncIterator[GripperBench]:
     )
 
 
-@pytest.fixture(params=[robot_io, robot_io_over_modbus, robot_io_over_rmi, fake], ids=lambda make: make.__name__)
+MAKERS = [robot_io, robot_io_over_modbus, robot_io_over_rmi, robotiq, fake]
+
+
+@pytest.fixture(params=MAKERS, ids=lambda make: make.__name__)
 async def b(request: pytest.FixtureRequest) -> AsyncIterator[GripperBench]:
     async with request.param() as made:
         yield made

@@ -1,0 +1,63 @@
+"""The Robotiq driver on a pseudo-terminal to the gripper double, in stepped time."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from drivers.gripper.robotiq import DRIVER, RobotiqGripper
+from drivers.sim.robotiq_double import RobotiqDouble
+from srvs_cell.ports import DriverContext
+from tests.drivers.stepped import SteppedClock, SteppedTime
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+PATIENT_S = 5.0
+"""A wire time-out that a busy machine does not reach."""
+
+IMPATIENT_S = 0.2
+"""A wire time-out that a test waits for."""
+
+STROKE = ((3, 85.0), (230, 0.0))
+PART_AT = 120
+PART_MM = 85.0 * (230 - PART_AT) / (230 - 3)
+
+
+@dataclass
+class RobotiqBench:
+    clock: SteppedClock
+    double: RobotiqDouble
+    gripper: RobotiqGripper
+    port: str
+
+    async def ready(self) -> None:
+        await self.gripper.connect()
+        await self.gripper.activate()
+
+    async def holding(self) -> None:
+        await self.ready()
+        self.double.part_at = PART_AT
+        await self.gripper.close()
+
+
+@contextlib.asynccontextmanager
+async def robotiq_bench(
+    answer_timeout_s: float = PATIENT_S, *, activated: bool = True, **settings: object
+) -> AsyncIterator[RobotiqBench]:
+    time = SteppedTime()
+    clock = SteppedClock(time)
+    double = RobotiqDouble(time.now_s)
+    if activated:
+        double.make_ready()
+    port = double.start()
+    config = {"port": port, "answer_timeout_s": answer_timeout_s, "stroke": STROKE, **settings}
+    gripper = DRIVER.factory(DRIVER.config_model.model_validate(config), DriverContext(clock))
+    assert isinstance(gripper, RobotiqGripper)
+    clock.busy = lambda: gripper._wire.busy
+    try:
+        yield RobotiqBench(clock, double, gripper, port)
+    finally:
+        await gripper.disconnect()
+        double.close()
