@@ -262,6 +262,16 @@ class DriverContext:
 ConfigT = TypeVar("ConfigT", bound="BaseModel")
 
 
+@runtime_checkable
+class KnowsItsPatience(Protocol):
+    """A driver's config that says how long a reading may take before the driver gives the device up."""
+
+    @property
+    def longest_reading_s(self) -> float:
+        """Seconds, what the reading may have to wait for on the same wire included."""
+        ...
+
+
 @dataclass(frozen=True)
 class DriverSpec(Generic[ConfigT]):
     """What an entry point of the group ``srvs_cell.drivers`` yields.

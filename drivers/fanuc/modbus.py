@@ -85,6 +85,11 @@ class FanucModbusConfig(BaseModel):
         default=0.2, gt=0.0, le=5.0, description="how far a finished move may end from its target"
     )
 
+    @property
+    def longest_reading_s(self) -> float:
+        """The request that is on the wire, and the reading itself."""
+        return 2.0 * self.timeout_s
+
     @model_validator(mode="after")
     def _outputs_differ(self) -> Self:
         if self.hold_output == self.reset_output:
@@ -306,7 +311,8 @@ class FanucModbusArm:
                 # Silence, a cut wire, nonsense: the robot may or may not have moved, so nothing is sent again.
                 await self._stop_as_well_as_possible()
                 alarm = Alarm.HEARTBEAT_LOST if self._heartbeat_lost else Alarm.MOTION_OUTCOME_UNKNOWN
-                raise OutcomeUnknownError(alarm, f"After the command to move to {target}: {error.detail}") from error
+                why = self._lost or error  # the heartbeat may have met it first
+                raise OutcomeUnknownError(alarm, f"After the command to move to {target}: {why.detail}") from error
 
     async def _follow(self, sequence: int, start: Xyzwpr, target: Xyzwpr, budget: judgement.MotionBudget) -> Xyzwpr:
         """Read until the command is finished."""

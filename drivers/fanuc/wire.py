@@ -9,7 +9,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from pymodbus.client import AsyncModbusTcpClient
-from pymodbus.exceptions import ModbusException
+from pymodbus.exceptions import ConnectionException, ModbusException
 
 from drivers.fanuc.connection import why_not_connected
 from srvs_cell.alarms import Alarm
@@ -32,6 +32,7 @@ class ModbusWire:
         self._host, self._port, self._unit_id, self._timeout_s = host, port, unit_id, timeout_s
         self._client: AsyncModbusTcpClient | None = None
         self._outstanding = 0
+        self._turn = asyncio.Lock()
 
     @property
     def busy(self) -> bool:
@@ -41,7 +42,12 @@ class ModbusWire:
     async def connect(self) -> None:
         """Open the connection; raises `NotConnectedError` that says why it cannot be opened."""
         client = AsyncModbusTcpClient(
-            self._host, port=self._port, timeout=self._timeout_s, retries=0, reconnect_delay=0
+            self._host,
+            port=self._port,
+            timeout=self._timeout_s,
+            retries=0,
+            reconnect_delay=0,
+            trace_connect=self._note_connection,
         )
         with why_not_connected(self.address, self._host, self._port, self._timeout_s):
             # pymodbus's own connect() turns every reason into False; this is the call that it makes inside.
@@ -52,6 +58,7 @@ class ModbusWire:
         """Close the connection, if there is one."""
         if self._client is not None:
             self._client.close()
+            self._end_waiting()
             self._client = None
 
     async def read_words(self, word: int, count: int) -> list[int]:
@@ -101,24 +108,26 @@ class ModbusWire:
             raise PortError(Alarm.PROTOCOL_ERROR, f"{self.address}: an answer without the bit that was asked for.")
         return bool(reply.bits[0])
 
+    def _note_connection(self, connected: bool) -> None:
+        if not connected:
+            self._end_waiting()
+
+    def _end_waiting(self) -> None:
+        """End the request that is out on a connection that has gone; pymodbus would let it wait for its time-out."""
+        if self._client is not None and self._turn.locked():
+            waiting = self._client.ctx.response_future
+            if not waiting.done():
+                waiting.set_exception(ConnectionException("the connection has gone"))
+                waiting.exception()  # whoever waited may have been cancelled
+
     async def _transact(self, what: str, request: Callable[[AsyncModbusTcpClient], Awaitable[ModbusPDU]]) -> ModbusPDU:
-        """Send one request and return its answer; pymodbus lets one request out at a time and matches answers by id."""
-        client = self._client
-        if client is None or not client.connected:
-            raise NotConnectedError(Alarm.CONNECTION_LOST, f"{self.address}: {what}: not connected.")
+        """Send one request, when the one before it has ended, and return its answer; pymodbus matches them by id."""
         task = asyncio.current_task()
         cancelled_before = task.cancelling() if task is not None else 0
         self._outstanding += 1
         try:
-            reply = await request(client)
-        except (ModbusException, OSError) as error:
-            if client.connected:
-                raise NotConnectedError(
-                    Alarm.CONNECTION_TIMEOUT, f"{self.address}: {what}: no usable answer within {self._timeout_s} s."
-                ) from error
-            raise NotConnectedError(
-                Alarm.CONNECTION_LOST, f"{self.address}: {what}: the connection was cut."
-            ) from error
+            async with self._turn:
+                reply = await self._answer(what, request)
         finally:
             self._outstanding -= 1
         if task is not None and task.cancelling() > cancelled_before:
@@ -129,3 +138,18 @@ class ModbusWire:
                 f"{self.address}: {what}: the controller answers Modbus exception {reply.exception_code}.",
             )
         return reply
+
+    async def _answer(self, what: str, request: Callable[[AsyncModbusTcpClient], Awaitable[ModbusPDU]]) -> ModbusPDU:
+        client = self._client
+        if client is None or not client.connected:
+            raise NotConnectedError(Alarm.CONNECTION_LOST, f"{self.address}: {what}: not connected.")
+        try:
+            return await request(client)
+        except (ModbusException, OSError) as error:
+            if client.connected:
+                raise NotConnectedError(
+                    Alarm.CONNECTION_TIMEOUT, f"{self.address}: {what}: no usable answer within {self._timeout_s} s."
+                ) from error
+            raise NotConnectedError(
+                Alarm.CONNECTION_LOST, f"{self.address}: {what}: the connection was cut."
+            ) from error

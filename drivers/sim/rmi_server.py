@@ -99,6 +99,12 @@ class RmiServer:
             thread.join()
         self._threads.clear()
 
+    @property
+    def in_session(self) -> bool:
+        """Whether a client has the session; all that it had sent is read when this turns false."""
+        with self._lock:
+            return self._connection is not None
+
     def cut(self) -> None:
         """Close the session's connection at once, as a pulled cable that is plugged in again would."""
         with self._lock:

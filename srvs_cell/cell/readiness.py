@@ -8,7 +8,7 @@ from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.interlocks import check_frame, check_robot_ready
 from srvs_cell.cell.notices import CELL
 from srvs_cell.cell.packml import State
-from srvs_cell.ports import Lifecycle, PortError
+from srvs_cell.ports import DeviceFaultError, Lifecycle, PortError
 
 if TYPE_CHECKING:
     from srvs_cell.cell.job import Equipment
@@ -54,6 +54,9 @@ class Readiness:
     async def clear(self) -> None:
         """Reach what cannot be reached, reset the controller's fault: both only because an operator has asked.
 
+        The fault is reset before the gripper is reached: a gripper that is wired through the robot can be read only by
+        a controller that is not in a fault.
+
         Raises:
             AlarmError: the first device's that does not answer, naming all of them; ROBOT_FAULT where the fault stays.
         """
@@ -65,17 +68,13 @@ class Readiness:
                 if self._notices.contact_lost:
                     await device.disconnect()
                 await self._reach(device)
+                if device is self._devices.arm:
+                    await self._end_fault()
             except PortError as error:
                 failed.append((name, error))
         if failed:
             raise AlarmError(failed[0][1].alarm, " ".join(f"{name}: {error.detail}" for name, error in failed))
         self._notices.contact_lost = False
-        status = await self._read_status()
-        if status.fault is not None:
-            await self._devices.arm.reset_fault()
-            status = await self._read_status()
-            if status.fault is not None:
-                raise AlarmError(Alarm.ROBOT_FAULT, f"The controller still reports after a reset: {status.fault}.")
 
     async def allow_motion(self) -> None:
         """Make every device active, on an operator's command."""
@@ -154,6 +153,15 @@ class Readiness:
                 await device.disconnect()
         if device.lifecycle is Lifecycle.DISCONNECTED:
             await device.connect()
+
+    async def _end_fault(self) -> None:
+        """Reset the controller where it is in a fault; raises `DeviceFaultError` ROBOT_FAULT where the fault stays."""
+        if (await self._read_status()).fault is None:
+            return
+        await self._devices.arm.reset_fault()
+        status = await self._read_status()
+        if status.fault is not None:
+            raise DeviceFaultError(Alarm.ROBOT_FAULT, f"The controller still reports after a reset: {status.fault}.")
 
     async def _read_status(self) -> RobotStatus:
         status = await self._devices.arm.status()

@@ -19,7 +19,8 @@ from srvs_cell.service.api import create_app
 from srvs_cell.service.equipment import make_unit
 from srvs_cell.service.listeners import lock, make_directory, serving, tcp_listener, unix_listener
 from srvs_cell.service.logs import configure_logs
-from srvs_cell.service.systemd import notify, watchdog_interval_s
+from srvs_cell.service.systemd import notify
+from srvs_cell.service.watchdog import feed_watchdog, settle_period_s
 
 if TYPE_CHECKING:
     import socket
@@ -80,14 +81,19 @@ async def _serve(config: CellConfig, service: ServiceConfig) -> None:
         tcp = None if service.tcp_port is None else stack.enter_context(tcp_listener(_LOOPBACK, service.tcp_port))
         unit = make_unit(config, service.state_dir)
         try:
-            await _operate(unit, service, unix, tcp, stopping)
+            await _operate(unit, service, unix, tcp, stopping, settle_period_s(config))
         finally:
             await unit.close()
             _log.info("stopped")
 
 
 async def _operate(
-    unit: Unit, service: ServiceConfig, unix: socket.socket, tcp: socket.socket | None, stopping: asyncio.Event
+    unit: Unit,
+    service: ServiceConfig,
+    unix: socket.socket,
+    tcp: socket.socket | None,
+    stopping: asyncio.Event,
+    watchdog_s: float | None,
 ) -> None:
     """Run the unit and serve the API until ``stopping`` is set or something ends that should not."""
     closing = asyncio.Event()
@@ -98,7 +104,7 @@ async def _operate(
     async with serving(app, unix, tcp) as servers:
         life = asyncio.create_task(unit.run())
         stop = asyncio.create_task(stopping.wait())
-        helpers = (asyncio.create_task(_tell_status(unit)), asyncio.create_task(_feed_watchdog(unit, life)))
+        helpers = (asyncio.create_task(_tell_status(unit)), asyncio.create_task(feed_watchdog(unit, life, watchdog_s)))
         _log.info("serving", socket=str(service.socket), page=page_url)
         notify("READY=1")
         try:
@@ -155,18 +161,3 @@ async def _tell_status(unit: Unit) -> None:
             _log.info("state", state=snapshot["state"], mode=snapshot["mode"], alarms=snapshot["alarms"])
             told = status
         await unit.wait_change(snapshot["version"])
-
-
-async def _feed_watchdog(unit: Unit, life: asyncio.Task[None]) -> None:
-    """Give the sign of life while the unit's task lives and its loops have turned since the last sign.
-
-    A blocked event loop is silent, and so is a unit that waits for something that never comes.
-    """
-    interval_s = watchdog_interval_s()
-    told = None
-    while interval_s is not None and not life.done():
-        if (turns := unit.turns) != told:
-            notify("WATCHDOG=1")
-            told = turns
-        await asyncio.sleep(interval_s)
-    await asyncio.wait({life})

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _MICROSECONDS_PER_SECOND = 1e6
-_PINGS_PER_WATCHDOG_PERIOD = 3
 
 
 def notify(*assignments: str, environment: Mapping[str, str] = os.environ) -> bool:
@@ -38,9 +37,14 @@ def notify(*assignments: str, environment: Mapping[str, str] = os.environ) -> bo
     return True
 
 
-def watchdog_interval_s(environment: Mapping[str, str] = os.environ) -> float | None:
-    """Return how often to send ``WATCHDOG=1``: a third of WatchdogSec; None where nobody waits for us."""
+def watchdog_period_s(environment: Mapping[str, str] = os.environ) -> float | None:
+    """Return WatchdogSec; None where nobody waits for a sign of life."""
     period_us = environment.get("WATCHDOG_USEC")
     if not period_us or environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return None
-    return int(period_us) / _MICROSECONDS_PER_SECOND / _PINGS_PER_WATCHDOG_PERIOD
+    return int(period_us) / _MICROSECONDS_PER_SECOND
+
+
+def ask_for_watchdog_period(period_s: float) -> None:
+    """Ask the service manager to wait for so long; it holds until the daemon ends."""
+    notify(f"WATCHDOG_USEC={round(period_s * _MICROSECONDS_PER_SECOND)}")

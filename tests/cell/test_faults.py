@@ -11,7 +11,14 @@ import pytest
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell import Command, Mode, State, Unit
-from srvs_cell.ports import CommandRejectedError, DeviceFaultError, NotConnectedError, OutcomeUnknownError, RobotMode
+from srvs_cell.ports import (
+    CommandRejectedError,
+    DeviceFaultError,
+    NotConnectedError,
+    NotReadyError,
+    OutcomeUnknownError,
+    RobotMode,
+)
 from tests.cell.support import PARAMETERS, Cell, build, connected, in_step, running, seen
 
 if TYPE_CHECKING:
@@ -228,6 +235,44 @@ async def test_silence_in_mid_move_needs_a_person_to_look(tmp_path: Path) -> Non
         assert (await cell.unit.resolve_gripper("empty", "test")).accepted
         await cell.start()
         assert await cell.reaches(*ENDS) == "Complete"
+
+
+async def test_a_gripper_that_only_a_robot_without_fault_can_read_is_reached_after_the_reset(tmp_path: Path) -> None:
+    """As a gripper on the robot's inputs is over RMI, whose inputs cannot be read in a fault."""
+    cell = build(tmp_path)
+    reach = cell.gripper.connect
+
+    async def through_the_robot() -> None:
+        if cell.arm.present.fault is not None:
+            raise NotReadyError(Alarm.ROBOT_FAULT, cell.arm.present.fault)
+        await reach()
+
+    cell.gripper.connect = through_the_robot  # type: ignore[method-assign]
+    cell.arm.present = replace(cell.arm.present, fault="SRVO-001")
+    async with running(cell):
+        await cell.start()
+        assert await cell.reaches(*ENDS) == "Complete"
+        assert cell.arm.fault_resets == 1
+
+
+async def test_a_fault_that_stays_is_named_although_the_gripper_fails_too(tmp_path: Path) -> None:
+    cell = build(tmp_path)
+
+    async def stays() -> None:
+        cell.arm.fault_resets += 1
+
+    cell.arm.reset_fault = stays  # type: ignore[method-assign]
+    cell.arm.present = replace(cell.arm.present, fault="SRVO-001")
+    async with running(cell):
+        await connected(cell)
+        cell.gripper.unreachable = True
+        await cell.gripper.disconnect()
+        await cell.give(Command.CLEAR)
+        await cell.reaches("Aborted")
+        (alarm,) = cell.unit.snapshot()["alarms"]
+        assert alarm["name"] == "ROBOT_FAULT"
+        assert "SRVO-001" in alarm["detail"]
+        assert "gripper: The fake gripper does not answer" in alarm["detail"]
 
 
 # -- gripper --------------------------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import signal
@@ -14,7 +13,6 @@ import tempfile
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -22,7 +20,6 @@ import yaml
 
 from srvs_cell.cli.client import DaemonClient
 from srvs_cell.cli.main import run
-from srvs_cell.service import daemon
 from tests.service.fakes import FakeUnit
 
 if TYPE_CHECKING:
@@ -176,25 +173,3 @@ def test_a_wrong_calibration_ends_with_the_status_that_systemd_does_not_try_agai
     )  # fmt: skip
     assert ended.returncode == 2
     assert "3101 CALIBRATION_INVALID" in ended.stderr
-
-
-async def test_a_unit_that_does_not_turn_gets_no_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
-    unit = SimpleNamespace(turns=1)
-    sent: list[str] = []
-    slept = 0
-
-    async def sleep(_: float) -> None:
-        nonlocal slept
-        slept += 1
-        unit.turns += slept < 3  # it turns twice, then it is stuck
-        if slept == 6:
-            life.cancel()
-        await asyncio.get_running_loop().run_in_executor(None, int)
-
-    monkeypatch.setenv("WATCHDOG_USEC", "15000000")
-    monkeypatch.delenv("WATCHDOG_PID", raising=False)
-    monkeypatch.setattr(daemon, "notify", sent.append)
-    life = asyncio.create_task(asyncio.Event().wait())
-    monkeypatch.setattr("asyncio.sleep", sleep)
-    await daemon._feed_watchdog(unit, life)  # type: ignore[arg-type]
-    assert sent == ["WATCHDOG=1"] * 3

@@ -54,3 +54,9 @@ class FanucRmiConfig(BaseModel):
     arrival_tolerance_deg: float = Field(
         default=0.2, gt=0.0, le=5.0, description="how far a finished move may end from its target"
     )
+
+    @property
+    def longest_reading_s(self) -> float:
+        """The lengthy command that must be answered first, and the reading's own two or three."""
+        lengthy_s = max(self.abort_timeout_s, self.reset_timeout_s, self.initialize_timeout_s)
+        return lengthy_s + 3.0 * self.timeout_s

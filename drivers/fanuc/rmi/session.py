@@ -29,6 +29,7 @@ MOST_IN_FLIGHT: Final = 2
 """Instructions that may wait for their reply. What the controller does with queued ones when the cable is cut is not
 specified; it would take eight."""
 
+_GOODBYE: Final = "FRC_Disconnect"
 _LAST_PORT: Final = 65535
 _KNOCKS: Final = 8
 _KNOCK_EVERY_S: Final = 0.25
@@ -70,6 +71,7 @@ class RmiSession:
         self._instructions: dict[int, tuple[str, Future[Packet]]] = {}
         self._abandoned: dict[int, Future[Packet]] = {}
         self._next_sequence = 1
+        self._leaving = False
 
     @property
     def address(self) -> str:
@@ -93,7 +95,7 @@ class RmiSession:
             NotConnectedError: refused, no route, unknown name, silence; SESSION_HELD where somebody else has it.
             PortError: PROTOCOL_ERROR, PROTOCOL_VERSION where what answers is not the interface as the manual has it.
         """
-        self.lost, self.system_fault = None, None
+        self.lost, self.system_fault, self._leaving = None, None, False
         reply = await self._ask_for_session()
         if reply.error_id:
             raise NotConnectedError(
@@ -166,12 +168,17 @@ class RmiSession:
         self._instructions.clear()
 
     async def close(self) -> None:
-        """Say goodbye and close; never raises for a session that has ended."""
+        """Say goodbye and close; never raises for a session that has ended.
+
+        Nothing is sent behind the goodbye, however long somebody has waited for his turn: a controller may take what
+        comes then for the next client's.
+        """
         wire = self._wire
         if wire is None:
             return
+        self._leaving = True
         with contextlib.suppress(PortError):  # a controller that does not answer is left all the same
-            await self._whole(self._exchange(Kind.COMMUNICATION, "FRC_Disconnect", {}))
+            await self._whole(self._exchange(Kind.COMMUNICATION, _GOODBYE, {}))
         self._end(NotConnectedError(Alarm.CONNECTION_LOST, f"{wire.address}: the session was closed."))
 
     def give_up(self, error: PortError) -> None:
@@ -183,7 +190,7 @@ class RmiSession:
         if wire.open:
             if self._awaited is None or self._awaited[1] != "FRC_Abort":
                 wire.send(messages.encode(Kind.COMMAND, "FRC_Abort", {}))
-            wire.send(messages.encode(Kind.COMMUNICATION, "FRC_Disconnect", {}))
+            wire.send(messages.encode(Kind.COMMUNICATION, _GOODBYE, {}))
         self._end(error)
 
     async def _ask_for_session(self) -> Packet:
@@ -358,6 +365,8 @@ class RmiSession:
         if self._wire is None:
             error = self.lost or NotConnectedError(Alarm.CONNECTION_LOST, f"{self.address}: not connected.")
             raise NotConnectedError(error.alarm, f"{name}: {error.detail}")
+        if self._leaving and name != _GOODBYE:
+            raise NotConnectedError(Alarm.CONNECTION_LOST, f"{name}: {self.address}: the session is being closed.")
         return self._wire
 
     def _end(self, error: PortError) -> None:

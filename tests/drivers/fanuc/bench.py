@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from drivers.fanuc.modbus import FanucModbusArm, FanucModbusConfig
 from drivers.sim.modbus_controller import ModbusController
+from drivers.sim.modbus_server import WireFault
 from srvs_cell.geometry import Xyzwpr
 from tests.drivers.stepped import PointArm, SteppedClock, SteppedTime
 
@@ -26,6 +27,11 @@ PATIENT_S = 10.0
 IMPATIENT_S = 0.4
 """A wire time-out that a test waits for."""
 
+NEVER_ANSWERED = {WireFault.SILENT, WireFault.DEAF, WireFault.LATE, WireFault.NONSENSE}
+"""What only a time-out ends."""
+
+_HASTY_S = 0.1
+
 
 @dataclass
 class Bench:
@@ -39,6 +45,13 @@ class Bench:
     async def ready(self) -> None:
         await self.arm.connect()
         await self.arm.activate()
+
+    def break_wire(self, fault: WireFault) -> None:
+        """Let the wire go wrong; only where a time-out is what ends it, the wire's is short from now on."""
+        self.controller.server.fault = fault
+        client = self.arm._wire._client
+        if fault in NEVER_ANSWERED and client is not None:
+            client.ctx.comm_params.timeout_connect = _HASTY_S
 
     def begin_move(self) -> asyncio.Task[Xyzwpr]:
         return asyncio.create_task(self.arm.move_linear(TARGET, SPEED_MM_S))

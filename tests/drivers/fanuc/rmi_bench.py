@@ -39,11 +39,8 @@ class RmiBench:
         await self.arm.activate()
 
     async def said_goodbye(self) -> None:
-        """Return when the double's thread has read the end of a session; the driver does not wait for it.
-
-        A move that is left alone asks for an abort once more, which may arrive behind it.
-        """
-        while "FRC_Disconnect" not in self.controller.server.received[-2:]:  # noqa: ASYNC110 - a thread has no asyncio event
+        """Return when the double's thread has read all of a session, to its end; the driver does not wait for it."""
+        while self.controller.server.in_session:  # noqa: ASYNC110 - a thread has no asyncio event
             await asyncio.sleep(0)
 
     async def stopped(self) -> None:

@@ -17,6 +17,7 @@ from srvs_cell.ports import (
     OutcomeUnknownError,
     PortError,
     RobotMode,
+    RobotStatus,
 )
 from tests.drivers.fanuc.bench import HOME, SPEED_MM_S, TARGET
 from tests.drivers.fanuc.rmi_bench import RmiBench, rmi_bench
@@ -219,9 +220,25 @@ async def test_disconnecting_in_mid_move_aborts_it() -> None:
         await b.said_goodbye()
         await b.stopped()
         received = b.controller.server.received
-        assert "FRC_Abort" in received[: received.index("FRC_Disconnect")]
+        assert "FRC_Abort" in received
+        assert received[-1] == "FRC_Disconnect"
         with pytest.raises(OutcomeUnknownError):
             await task
+
+
+async def test_nothing_is_sent_behind_the_goodbye_although_somebody_waits_for_his_turn() -> None:
+    async with rmi_bench() as b:
+        await b.ready()
+        move = await b.begun_move()
+        leaving = asyncio.create_task(b.arm.disconnect())
+        stops = [asyncio.create_task(b.arm.request_stop()) for _ in range(3)]
+        readings = [asyncio.create_task(b.arm.status()) for _ in range(3)]
+        await leaving
+        ends = await asyncio.gather(move, *stops, *readings, return_exceptions=True)
+        assert all(end is None or isinstance(end, PortError | RobotStatus) for end in ends)
+        await b.said_goodbye()
+        assert b.controller.server.received[-1] == "FRC_Disconnect"
+        assert b.controller.server.received.count("FRC_Disconnect") == 1
 
 
 async def test_a_second_move_is_refused_while_one_is_under_way() -> None:

@@ -1,5 +1,8 @@
 """The fault table: what wire or robot do wrong, and the alarm that it ends in. Nothing is sent twice."""
 
+import asyncio
+import time
+
 import pytest
 
 from drivers.sim.modbus_server import WireFault
@@ -13,7 +16,7 @@ from srvs_cell.ports import (
     OutcomeUnknownError,
     PortError,
 )
-from tests.drivers.fanuc.bench import HOME, IMPATIENT_S, TARGET, Bench, bench
+from tests.drivers.fanuc.bench import HOME, TARGET, Bench, bench
 
 _FAULTS = [fault for fault in WireFault if fault is not WireFault.NONE]
 
@@ -30,10 +33,10 @@ async def _watchdog_stops(b: Bench) -> Xyzwpr:
 
 @pytest.mark.parametrize("fault", _FAULTS)
 async def test_a_fault_of_the_wire_in_mid_move_leaves_the_outcome_unknown(fault: WireFault) -> None:
-    async with bench(timeout_s=IMPATIENT_S) as b:
+    async with bench() as b:
         await b.ready()
         task = await b.begun_move()
-        b.controller.server.fault = fault
+        b.break_wire(fault)
         with pytest.raises(OutcomeUnknownError) as unknown:
             await task
         assert unknown.value.alarm is Alarm.MOTION_OUTCOME_UNKNOWN
@@ -44,12 +47,28 @@ async def test_a_fault_of_the_wire_in_mid_move_leaves_the_outcome_unknown(fault:
         assert b.controller.motions_started == 1
 
 
-@pytest.mark.parametrize("fault", [WireFault.SILENT, WireFault.HALF_PACKET, WireFault.CUT])
-async def test_after_such_a_fault_the_robot_is_found_again_and_moves_only_on_a_new_command(fault: WireFault) -> None:
-    async with bench(timeout_s=IMPATIENT_S) as b:
+@pytest.mark.parametrize("fault", [WireFault.HALF_PACKET, WireFault.CUT])
+async def test_a_cut_is_noticed_without_waiting_for_the_time_out(fault: WireFault) -> None:
+    """The wire's time-out is longer than this test may take."""
+    async with bench(timeout_s=10.0) as b:
         await b.ready()
         task = await b.begun_move()
+        begun_s = time.monotonic()
         b.controller.server.fault = fault
+        with pytest.raises(OutcomeUnknownError) as unknown:
+            await task
+        assert "the connection was cut" in unknown.value.detail
+        with pytest.raises(NotConnectedError):
+            await asyncio.gather(*(b.arm.status() for _ in range(3)))
+        assert time.monotonic() - begun_s < 9.0
+
+
+@pytest.mark.parametrize("fault", [WireFault.SILENT, WireFault.HALF_PACKET, WireFault.CUT])
+async def test_after_such_a_fault_the_robot_is_found_again_and_moves_only_on_a_new_command(fault: WireFault) -> None:
+    async with bench() as b:
+        await b.ready()
+        task = await b.begun_move()
+        b.break_wire(fault)
         with pytest.raises(OutcomeUnknownError):
             await task
         b.controller.server.fault = WireFault.NONE
@@ -65,9 +84,9 @@ async def test_after_such_a_fault_the_robot_is_found_again_and_moves_only_on_a_n
 
 @pytest.mark.parametrize("fault", _FAULTS)
 async def test_a_fault_of_the_wire_before_the_command_moves_nothing(fault: WireFault) -> None:
-    async with bench(timeout_s=IMPATIENT_S) as b:
+    async with bench() as b:
         await b.ready()
-        b.controller.server.fault = fault
+        b.break_wire(fault)
         with pytest.raises(PortError) as error:
             await b.arm.move_linear(TARGET, 100.0)
         assert not isinstance(error.value, OutcomeUnknownError)
@@ -77,9 +96,9 @@ async def test_a_fault_of_the_wire_before_the_command_moves_nothing(fault: WireF
 
 
 async def test_silence_ends_in_disconnected_by_the_heartbeat() -> None:
-    async with bench(timeout_s=IMPATIENT_S) as b:
+    async with bench() as b:
         await b.ready()
-        b.controller.server.fault = WireFault.DEAF
+        b.break_wire(WireFault.DEAF)
         with pytest.raises(NotConnectedError) as error:
             await b.arm.status()
         assert error.value.alarm is Alarm.CONNECTION_TIMEOUT
@@ -88,7 +107,7 @@ async def test_silence_ends_in_disconnected_by_the_heartbeat() -> None:
         with pytest.raises(NotConnectedError) as error:
             await b.arm.status()
         assert "given up" in error.value.detail
-        assert "no usable answer within 0.4 s" in error.value.detail
+        assert "no usable answer within" in error.value.detail
 
 
 async def test_a_frozen_robot_heartbeat_stops_the_move_and_is_named() -> None:
@@ -140,7 +159,7 @@ async def test_a_frozen_pc_heartbeat_makes_the_robot_stop_by_itself() -> None:
 
 
 async def test_a_reboot_in_mid_move_is_unknown_and_the_old_command_is_not_executed() -> None:
-    async with bench(timeout_s=IMPATIENT_S) as b:
+    async with bench() as b:
         await b.ready()
         task = await b.begun_move()
         b.controller.reboot()
@@ -178,7 +197,7 @@ async def test_a_stale_command_is_rejected_by_its_checksum() -> None:
 
 
 async def test_outputs_are_confirmed_and_the_hold_output_is_the_drivers_own() -> None:
-    async with bench(timeout_s=IMPATIENT_S) as b:
+    async with bench() as b:
         await b.arm.connect()
         await b.arm.write_output(5, on=True)
         assert b.point.outputs[5]
@@ -190,7 +209,7 @@ async def test_outputs_are_confirmed_and_the_hold_output_is_the_drivers_own() ->
         b.point.set_output = lambda n, on: None  # type: ignore[method-assign]  # noqa: ARG005 - a stuck output
         with pytest.raises(OutcomeUnknownError):
             await b.arm.write_output(5, on=False)
-        b.controller.server.fault = WireFault.SILENT
+        b.break_wire(WireFault.SILENT)
         with pytest.raises(OutcomeUnknownError) as unknown:
             await b.arm.write_output(5, on=False)
         assert unknown.value.alarm is Alarm.CONNECTION_TIMEOUT
