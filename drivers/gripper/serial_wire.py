@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from pymodbus.pdu import ModbusPDU
 
+_READ_INPUTS, _WRITE_WORDS = 4, 16
+
 _REASONS: Final = {
     errno.ENOENT: "no such device: unplugged, or the path is another one",
     errno.ENODEV: "no such device: unplugged",
@@ -90,8 +92,8 @@ class SerialWire:
         reply = await self._transact(
             what, lambda client: client.read_input_registers(first, count=count, device_id=self._device_id)
         )
-        if len(reply.registers) != count:
-            raise self._give_up(PortError(Alarm.PROTOCOL_ERROR, f"{what}: got {len(reply.registers)} words."))
+        if (reply.function_code, len(reply.registers)) != (_READ_INPUTS, count):
+            raise self._give_up(_other_answer(what, reply))
         return list(reply.registers)
 
     async def write_words(self, first: int, values: list[int]) -> None:
@@ -100,10 +102,8 @@ class SerialWire:
         reply = await self._transact(
             what, lambda client: client.write_registers(first, values, device_id=self._device_id)
         )
-        if (reply.address, reply.count) != (first, len(values)):
-            raise self._give_up(
-                PortError(Alarm.PROTOCOL_ERROR, f"{what}: confirmed were {reply.count} words to 0x{reply.address:04X}.")
-            )
+        if (reply.function_code, reply.address, reply.count) != (_WRITE_WORDS, first, len(values)):
+            raise self._give_up(_other_answer(what, reply))
 
     async def _transact(
         self, what: str, request: Callable[[AsyncModbusSerialClient], Awaitable[ModbusPDU]]
@@ -157,6 +157,10 @@ class SerialWire:
         self.close()
         self.lost = error
         return type(error)(error.alarm, f"{self.address}: {error.detail}")
+
+
+def _other_answer(what: str, reply: ModbusPDU) -> PortError:
+    return PortError(Alarm.PROTOCOL_ERROR, f"{what}: the answer is another one's: {reply}.")
 
 
 def _look_at(task: asyncio.Task[ModbusPDU]) -> None:

@@ -15,9 +15,8 @@ from drivers.sim.rtu_line import RtuLine
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_INPUTS: Final = 0x07D0
+_OUTPUTS, _INPUTS = 0x03E8, 0x07D0
 _WORDS: Final = 3
-_WHOLE_OUTPUT: Final = bytes([0x03, 0xE8, 0, _WORDS, 2 * _WORDS])
 _READ_WORDS, _READ_INPUTS, _WRITE_WORDS, _READ_WRITE = 3, 4, 16, 23
 _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS = 1, 2
 _ACT, _GTO, _ATR, _ARD = 0x01, 0x08, 0x10, 0x20
@@ -73,6 +72,7 @@ class RobotiqDouble:
         self.line = RtuLine(self._answer, device_id)
         self._now_s = now_s
         self._lock = threading.RLock()
+        self._outputs = [0] * _WORDS
         self._action = 0
         self._request = 0
         self._activated_at_s: float | None = None
@@ -106,6 +106,7 @@ class RobotiqDouble:
         with self._lock:
             stands = self._way.at(self._now_s())
             self._way = _Way(stands, stands)
+            self._outputs = [0] * _WORDS
             self._action = self._request = self.fault_code = 0
             self._activated_at_s = self._released_at_s = None
 
@@ -212,15 +213,20 @@ class RobotiqDouble:
 
     def _read(self, pdu: bytes) -> bytes:
         first, count = (int.from_bytes(pdu[at : at + 2], "big") for at in (1, 3))
-        at = first - _INPUTS
-        if at < 0 or count < 1 or at + count > _WORDS:
-            return bytes([pdu[0] | 0x80, _ILLEGAL_ADDRESS])
-        data = b"".join(word.to_bytes(2, "big") for word in self._inputs()[at : at + count])
-        return bytes([pdu[0], len(data)]) + data
+        for start, words in ((_INPUTS, self._inputs()), (_OUTPUTS, self._outputs)):
+            if count and start <= first and first + count <= start + _WORDS:
+                data = b"".join(word.to_bytes(2, "big") for word in words[first - start : first - start + count])
+                return bytes([pdu[0], len(data)]) + data
+        return bytes([pdu[0] | 0x80, _ILLEGAL_ADDRESS])
 
     def _write(self, block: bytes) -> bool:
-        """Take address, number of words, number of bytes and the words; only all three output words are taken."""
-        if block[:5] != _WHOLE_OUTPUT or len(block) != len(_WHOLE_OUTPUT) + 2 * _WORDS:
+        """Take address, number of words, number of bytes and the words; refuse what does not fit the outputs."""
+        first, count = int.from_bytes(block[:2], "big") - _OUTPUTS, int.from_bytes(block[2:4], "big")
+        data = block[5:]
+        if first < 0 or not count or first + count > _WORDS or not len(data) == block[4] == 2 * count:
             return False
-        self._command([int.from_bytes(block[at : at + 2], "big") for at in (5, 7, 9)])
+        self._outputs[first : first + count] = [
+            int.from_bytes(data[at : at + 2], "big") for at in range(0, len(data), 2)
+        ]
+        self._command(self._outputs)
         return True

@@ -32,6 +32,11 @@ class RobotiqBench:
     gripper: RobotiqGripper
     port: str
 
+    def lose_patience(self, timeout_s: float = IMPATIENT_S) -> None:
+        """Wait no longer for answers on this connection than a test likes to."""
+        assert self.gripper._wire._client is not None
+        self.gripper._wire._client.ctx.comm_params.timeout_connect = timeout_s
+
     async def ready(self) -> None:
         await self.gripper.connect()
         await self.gripper.activate()

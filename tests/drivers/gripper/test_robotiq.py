@@ -274,8 +274,9 @@ USELESS = [fault for fault in LineFault if fault not in {LineFault.NONE, LineFau
 
 @pytest.mark.parametrize("fault", USELESS, ids=lambda fault: fault.name)
 async def test_after_a_silence_nothing_is_known_until_it_is_connected_anew(fault: LineFault) -> None:
-    async with robotiq_bench(IMPATIENT_S) as b:
+    async with robotiq_bench() as b:
         await b.holding()
+        b.lose_patience()
         b.double.line.fault = fault
         with pytest.raises(NotConnectedError) as silent:
             await b.gripper.state()
@@ -294,9 +295,10 @@ async def test_after_a_silence_nothing_is_known_until_it_is_connected_anew(fault
 async def test_a_command_without_an_answer_is_sent_once_and_its_outcome_is_unknown(
     fault: LineFault, action: str
 ) -> None:
-    async with robotiq_bench(IMPATIENT_S) as b:
+    async with robotiq_bench() as b:
         await b.ready()
         asked = len(b.double.line.received)
+        b.lose_patience()
         b.double.line.fault, b.double.line.fault_after = fault, 1  # the reading before the command is answered
         with pytest.raises(OutcomeUnknownError) as unknown:
             await (b.gripper.open() if action == "open" else b.gripper.close())
@@ -307,8 +309,9 @@ async def test_a_command_without_an_answer_is_sent_once_and_its_outcome_is_unkno
 
 
 async def test_an_answer_that_comes_late_is_not_taken_for_the_next_one() -> None:
-    async with robotiq_bench(IMPATIENT_S) as b:
+    async with robotiq_bench() as b:
         await b.ready()
+        b.lose_patience()
         b.double.line.fault = LineFault.LATE
         with pytest.raises(NotConnectedError):
             await b.gripper.state()
@@ -337,8 +340,9 @@ async def test_byte_by_byte_is_an_answer_too() -> None:
 
 
 async def test_a_converter_that_is_unplugged_while_holding() -> None:
-    async with robotiq_bench(IMPATIENT_S) as b:
+    async with robotiq_bench() as b:
         await b.holding()
+        b.lose_patience()
         b.double.close()
         with pytest.raises(NotConnectedError):
             await b.gripper.state()

@@ -75,7 +75,8 @@ def test_what_it_does_not_know_is_answered_with_an_exception_and_what_is_not_for
     for request, answer in (
         ("09 06 03 E8 01 00", "09 86 01"),
         ("09 04 07 D0 00 04", "09 84 02"),
-        ("09 10 03 E8 00 01 02 01 00", "09 90 02"),
+        ("09 10 03 E7 00 01 02 01 00", "09 90 02"),
+        ("09 10 03 E8 00 03 02 01 00", "09 90 02"),
     ):
         frame = bytes.fromhex(request)
         assert b.ask((frame + checksum(frame)).hex()).startswith(answer)
@@ -90,6 +91,15 @@ def test_a_silence_ends_a_frame_that_is_not_whole(b: Bench) -> None:
     ready, _, _ = select.select([b.port.fileno()], [], [], 0.2)
     assert not ready
     assert b.ask(READ_ONE).startswith("09 04 02")
+
+
+def test_one_word_may_be_written_and_the_outputs_read_back(b: Bench) -> None:
+    for request in ("09 10 03 E8 00 01 02 01 00", "09 10 03 E9 00 02 04 00 80 FF 20"):
+        frame = bytes.fromhex(request)
+        assert b.ask((frame + checksum(frame)).hex()).startswith(request[:17])
+    frame = bytes.fromhex("09 03 03 E8 00 03")
+    assert b.ask((frame + checksum(frame)).hex()).startswith("09 03 06 01 00 00 80 FF 20")
+    assert b.double.commands == [(1, 0, 0, 0), (1, 0x80, 0xFF, 0x20)]
 
 
 def test_automatic_release_asks_for_a_new_activation(b: Bench) -> None:

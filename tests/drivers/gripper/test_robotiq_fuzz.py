@@ -10,15 +10,16 @@ from drivers.sim.rtu_line import LineFault, checksum
 from srvs_cell.ports import GripState, PortError
 from tests.drivers.gripper.robotiq_bench import robotiq_bench
 
-HASTY_S = 0.03
+HASTY_S = 0.05
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 async def _read_after(answer: bytes) -> GripState | None:
     """Return the state that the driver makes of any bytes in answer to a reading, None where it refuses them."""
-    async with robotiq_bench(HASTY_S) as b:
+    async with robotiq_bench() as b:
         line = b.double.line
         await b.gripper.connect()
+        b.lose_patience(HASTY_S)
         unheard: list[object] = []
         asyncio.get_running_loop().set_exception_handler(lambda _, context: unheard.append(context))
 
