@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.planning import AssignGoal, CellMove, CellPlan, plan, validate
+from srvs_cell.planning import AssignGoal, CellPlan, cell_moves, plan, validate
 from srvs_cell.scene import Place, PlaceKind
 
 if TYPE_CHECKING:
@@ -42,14 +42,10 @@ def correction_plan(former: CellPlan, seen_mm: Mapping[int, Point2]) -> CellPlan
     refusal = validate(task, answer.moves) if answer.moves else []
     if refusal:
         raise AlarmError(Alarm.PLAN_INVALID, f"Correction: {'; '.join(refusal)}.")
-    points = [(place.x_mm, place.y_mm) for place in places]
     return replace(
         former,
         table=replace(former.table, problem=task),
         relocation=answer,
-        moves=tuple(
-            CellMove(goals[move.object].workpiece, points[move.from_place], points[move.to_place])
-            for move in answer.moves
-        ),
+        moves=cell_moves(task, answer.moves, [goal.workpiece for goal in goals]),
         buffers_mm=(),
     )

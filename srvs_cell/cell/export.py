@@ -54,7 +54,12 @@ def plan_json(plan: CellPlan) -> Json:
         "bound_travel_mm": round(relocation.bound_travel_mm, 3),
         "reasons": list(relocation.reasons),
         "moves": [
-            {"workpiece": move.workpiece, "from_mm": _rounded(move.from_mm), "to_mm": _rounded(move.to_mm)}
+            {
+                "workpiece": move.workpiece,
+                "from_mm": _rounded(move.from_mm),
+                "to_mm": _rounded(move.to_mm),
+                "tops_mm": _rounded((move.tops.to_pick_mm, move.tops.carried_mm, move.tops.away_mm)),
+            }
             for move in plan.moves
         ],
         "goals": [{"workpiece": goal.workpiece, "point_mm": _rounded(goal.point_mm)} for goal in plan.goals],

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, ClassVar
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.interlocks import check_certainty
 from srvs_cell.cell.job import Job, Outcome
-from srvs_cell.cell.motion import Approach, grasp_pose, held_part, travel_height_mm
+from srvs_cell.cell.motion import held_part
 from srvs_cell.cell.recovery import StepName
+from srvs_cell.planning import Approach
 from srvs_cell.ports import GripState
 
 if TYPE_CHECKING:
-    from srvs_cell.geometry import Xyzwpr
-    from srvs_cell.planning import CellMove
+    from srvs_cell.planning import CellMove, LegTops
     from srvs_cell.scene import Workpiece
 
 
@@ -32,7 +32,8 @@ class Deliver:
         if part is None:
             raise AlarmError(Alarm.GRIPPER_OCCUPIED, "It is not known where the held part belongs.")
         height_mm = job.equipment.parameters.look.observe_pose.pose().z_mm
-        await _put_down(job, part.place, height_mm, height_mm)
+        way = Approach.of(part.place, height_mm, job.equipment.parameters.motion.approach_mm)
+        await _put_down(job, way, way)
         return Outcome({"workpiece": part.workpiece, "place": list(part.place.as_tuple())})
 
 
@@ -52,9 +53,10 @@ class Pick:
             raise AlarmError(Alarm.PLAN_INFEASIBLE, f"Workpiece {workpiece.id}: {workpiece.grasp_refusal}.")
         check_certainty(workpiece, job.equipment.parameters.tolerance)
         offset_mm = job.offsets_mm.get(workpiece.id, (0.0, 0.0))
-        at = grasp_pose(workpiece.grasp, offset_mm, motion, job.equipment.parameters.look.observe_pose.pose())
-        part = held_part(workpiece, self.move, at, job.equipment.parameters.table_z_mm, motion)
-        way = Approach.of(at, _travel_z_mm(job), motion.approach_mm)
+        hand = job.equipment.parameters.hand()
+        at = hand.grasp_pose(workpiece.grasp, offset_mm)
+        part = held_part(workpiece, self.move, at, hand)
+        way, lifted = hand.pick_way(at, _tops(job, self.move))
         evidence: dict[str, object] = {"workpiece": workpiece.id, "kind": workpiece.kind, "grasp": list(at.as_tuple())}
         await arm.move_linear(way.above, motion.travel_speed_mm_s, "above the workpiece")
         if job.dry_run:
@@ -72,7 +74,6 @@ class Pick:
                 await arm.move_linear(way.above, motion.approach_speed_mm_s, "up from an empty grip")
             raise
         await arm.move_linear(way.near, motion.approach_speed_mm_s, "up with the workpiece")
-        lifted = replace(way.above, z_mm=max(way.near.z_mm, _travel_z_mm(job, part.hang_mm)))
         await arm.move_linear(lifted, motion.travel_speed_mm_s, "to travel height")
         await arm.confirm_holding()
         return Outcome(evidence)
@@ -90,15 +91,15 @@ class Place:
         """Place; raises GRIP_LOST where the part was lost on the way."""
         arm, move = job.manipulator, self.move
         if job.dry_run:
-            target = replace(
-                await arm.pose(), x_mm=move.to_mm[0], y_mm=move.to_mm[1], z_mm=_travel_z_mm(job)
-            )  # fmt: skip
+            # The hand is above the workpiece that it did not take.
+            target = replace(await arm.pose(), x_mm=move.to_mm[0], y_mm=move.to_mm[1])
             await arm.move_linear(target, job.equipment.parameters.motion.travel_speed_mm_s, "above the place")
         else:
             part = arm.hand.held
             if part is None:
                 raise AlarmError(Alarm.GRIP_LOST, f"Workpiece {move.workpiece} is not in the gripper.")
-            await _put_down(job, part.place, _travel_z_mm(job, part.hang_mm), _travel_z_mm(job))
+            hand = job.equipment.parameters.hand()
+            await _put_down(job, *hand.place_way(part.place, part.hang_mm, _tops(job, move)))
         x_mm, y_mm = job.offsets_mm.get(move.workpiece, (0.0, 0.0))
         job.offsets_mm[move.workpiece] = (
             x_mm + move.to_mm[0] - move.from_mm[0],
@@ -109,16 +110,17 @@ class Place:
         return Outcome({"workpiece": move.workpiece, "to_mm": list(move.to_mm)})
 
 
-def _travel_z_mm(job: Job, hang_mm: float = 0.0) -> float:
-    parameters = job.equipment.parameters
-    tallest_mm = max((workpiece.height_mm for workpiece in job.progress.workpieces), default=0.0)
-    return travel_height_mm(parameters.table_z_mm, tallest_mm, parameters.motion.clearance_mm, hang_mm)
+def _tops(job: Job, move: CellMove) -> LegTops:
+    """Return what the hand passes above; in a dry run nothing is where the plan would have it by then."""
+    plan = job.progress.plan
+    if plan is None:
+        raise AlarmError(Alarm.INTERNAL_ERROR, "There is no plan to carry out.")
+    return plan.above_all if job.dry_run else move.tops
 
 
-async def _put_down(job: Job, place: Xyzwpr, loaded_z_mm: float, free_z_mm: float) -> None:
-    """Carry the held part to a place at one height, let it go and leave at another."""
+async def _put_down(job: Job, way: Approach, leave: Approach) -> None:
+    """Carry the held part to a place one way, let it go and leave another way."""
     arm, motion = job.manipulator, job.equipment.parameters.motion
-    way = Approach.of(place, loaded_z_mm, motion.approach_mm)
     await arm.move_linear(way.above, motion.travel_speed_mm_s, "above the place")
     await arm.confirm_holding()
     if way.near != way.above:
@@ -126,6 +128,5 @@ async def _put_down(job: Job, place: Xyzwpr, loaded_z_mm: float, free_z_mm: floa
     await arm.move_linear(way.at, motion.approach_speed_mm_s, "down to the place")
     await arm.open("let go")
     job.progress.last_release_s = job.equipment.devices.clock.now_s()
-    leave = Approach.of(place, free_z_mm, motion.approach_mm)
     await arm.move_linear(leave.near, motion.approach_speed_mm_s, "up from the place")
     await arm.move_linear(leave.above, motion.travel_speed_mm_s, "to travel height")

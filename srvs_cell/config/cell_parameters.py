@@ -8,6 +8,7 @@ from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from srvs_cell.geometry import Xyzwpr
+from srvs_cell.planning import HandMotion
 
 _STRICT = ConfigDict(extra="forbid")
 
@@ -156,6 +157,21 @@ class CellParameters:
     status_interval_s: Annotated[
         float, Field(gt=0.0, le=10.0, description="how often the arm's status is read while it is not moved")
     ] = 0.5
+
+    def hand(self) -> HandMotion:
+        """Return how the hand is moved, as planning asks for it."""
+        motion = self.motion
+        return HandMotion(
+            table_z_mm=self.table_z_mm,
+            clearance_mm=motion.clearance_mm,
+            approach_mm=motion.approach_mm,
+            release_gap_mm=motion.release_gap_mm,
+            jaw_axis=motion.jaw_axis,
+            observe=self.look.observe_pose.pose(),
+            z_mm=self.workspace.z_mm,
+            travel_speed_mm_s=motion.travel_speed_mm_s,
+            approach_speed_mm_s=motion.approach_speed_mm_s,
+        )
 
     @model_validator(mode="after")
     def _observes_inside(self) -> Self:

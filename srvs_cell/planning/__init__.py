@@ -1,7 +1,10 @@
 """Planning: goal rules, fewest moves, shortest travel, checked plan."""
 
+from srvs_cell.planning.arm import ArmParameters
 from srvs_cell.planning.buffers import Workspace
 from srvs_cell.planning.explain import explain, what_would_help
+from srvs_cell.planning.hand import Approach, HandMotion
+from srvs_cell.planning.legs import LegTops
 from srvs_cell.planning.parameters import FingerGeometry, PlanningParameters, SearchLimits
 from srvs_cell.planning.picture import plan_svg
 from srvs_cell.planning.planner import has_plan, plan, plan_to_json
@@ -18,7 +21,7 @@ from srvs_cell.planning.problem import (
     Rectangle,
     read_problems,
 )
-from srvs_cell.planning.relocation import CellGoal, CellMove, CellPlan, plan_relocation
+from srvs_cell.planning.relocation import CellGoal, CellMove, CellPlan, cell_moves, plan_relocation
 from srvs_cell.planning.rules import (
     Choice,
     ElementChange,
@@ -33,6 +36,8 @@ from srvs_cell.planning.table import TableProblem, footprint_centroid_mm, table_
 from srvs_cell.planning.validator import validate
 
 __all__ = [
+    "Approach",
+    "ArmParameters",
     "AssignGoal",
     "CellGoal",
     "CellMove",
@@ -43,7 +48,9 @@ __all__ = [
     "FingerGeometry",
     "FingerGrip",
     "Footprint",
+    "HandMotion",
     "HeightOrder",
+    "LegTops",
     "NominalPlace",
     "Obstacle",
     "PlanningParameters",
@@ -58,6 +65,7 @@ __all__ = [
     "Standing",
     "TableProblem",
     "Workspace",
+    "cell_moves",
     "explain",
     "footprint_centroid_mm",
     "has_plan",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -9,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.planning.clearance import bounds_mm, finger_polygons, too_close
+from srvs_cell.planning.clearance import bounds_mm, hand_solids, too_close
 from srvs_cell.planning.goals import goal_rule
 from srvs_cell.scene import Place, PlaceKind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from srvs_cell.planning.problem import Footprint, Polygon, Problem, ProblemObject
+    from srvs_cell.planning.problem import Footprint, Obstacle, Polygon, Problem, ProblemObject
 
 Array = NDArray[np.float64]
 
@@ -35,7 +37,19 @@ class Workspace:
 
     def contains(self, x_mm: float, y_mm: float) -> bool:
         """Tell whether a point lies inside."""
-        return self.x_min_mm <= x_mm <= self.x_max_mm and self.y_min_mm <= y_mm <= self.y_max_mm
+        return self.beyond_mm(x_mm, y_mm) == 0.0
+
+    def holds(self, x_mm: Array, y_mm: Array) -> NDArray[np.bool_]:
+        """Tell of points, each coordinate of shape (N,), whether they lie inside."""
+        inside: NDArray[np.bool_] = (x_mm >= self.x_min_mm) & (x_mm <= self.x_max_mm)
+        inside &= (y_mm >= self.y_min_mm) & (y_mm <= self.y_max_mm)
+        return inside
+
+    def beyond_mm(self, x_mm: float, y_mm: float) -> float:
+        """Return the distance of a point from the box; 0 inside."""
+        return math.hypot(
+            max(self.x_min_mm - x_mm, 0.0, x_mm - self.x_max_mm), max(self.y_min_mm - y_mm, 0.0, y_mm - self.y_max_mm)
+        )
 
     def __str__(self) -> str:
         return f"x {self.x_min_mm:g} to {self.x_max_mm:g} mm, y {self.y_min_mm:g} to {self.y_max_mm:g} mm"
@@ -49,7 +63,11 @@ class _Standing:
     points_mm: Array
 
 
-def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float) -> Problem:
+Allowed = Callable[["ProblemObject", Array], NDArray[np.bool_]]
+"""Tells, of an object and points (N, 2), where it can be picked and put down."""
+
+
+def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float, allowed: Allowed | None = None) -> Problem:
     """Return the problem with one more buffer place, found on the table.
 
     The first place is clear, footprints and fingers, for every object that stands wrongly, whatever slot the others
@@ -62,6 +80,7 @@ def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float) -> Probl
         problem: a rank problem that is not in order yet.
         workspace: box that the whole footprint of a buffered object stays in.
         grid_mm: distance of the points that are looked at.
+        allowed: where each object can be picked and put down; None: everywhere in the workspace.
 
     Raises:
         AlarmError: NO_BUFFER_PLACE.
@@ -74,11 +93,11 @@ def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float) -> Probl
     everywhere = [place.id for place in problem.places]
     by_then = [_Standing(o, _points(problem, everywhere if o.id in moving else [o.start])) for o in problem.objects]
     candidates = _by_detour(_grid(workspace, grid_mm), problem, wrong)
-    point = _first_clear(candidates, movers, by_then, problem, workspace)
+    point = _first_clear(candidates, movers, by_then, problem, workspace, allowed)
     if point is None:
         now = [_Standing(item, _points(problem, [item.start])) for item in problem.objects]
         for mover in movers:
-            point = _first_clear(candidates, [mover], now, problem, workspace)
+            point = _first_clear(candidates, [mover], now, problem, workspace, allowed)
             if point is not None:
                 break
     if point is None:
@@ -124,6 +143,7 @@ def _first_clear(
     standings: Sequence[_Standing],
     problem: Problem,
     workspace: Workspace,
+    allowed: Allowed | None,
 ) -> Array | None:
     """Return the first candidate that is clear for all movers, or None.
 
@@ -133,25 +153,29 @@ def _first_clear(
         chunk = candidates[begin : begin + _CHUNK]
         for mover in movers:
             chunk = chunk[_inside(mover.footprint, chunk, workspace)]
+            if allowed is not None:
+                chunk = chunk[allowed(mover, chunk)]
             for obstacle in problem.obstacles:
                 at = np.array([[obstacle.x_mm, obstacle.y_mm]])
-                chunk = _without_hits(chunk, mover, obstacle.footprint, at, problem.clearance_mm)
+                chunk = _without_hits(chunk, mover, obstacle, at, problem.clearance_mm)
             for standing in standings:
-                chunk = _without_hits(chunk, mover, standing.item.footprint, standing.points_mm, problem.clearance_mm)
+                chunk = _without_hits(chunk, mover, standing.item, standing.points_mm, problem.clearance_mm)
                 # The other's fingers come down beside what stands in the buffer place.
-                for finger in _fingers(standing.item):
-                    chunk = chunk[~_hit(mover.footprint, finger, chunk, standing.points_mm, 0.0)]
+                for solid in _lower_than(standing.item, mover.top_mm):
+                    chunk = chunk[~_hit(mover.footprint, solid, chunk, standing.points_mm, 0.0)]
         if len(chunk):
             first: Array = chunk[0]
             return first
     return None
 
 
-def _without_hits(chunk: Array, mover: ProblemObject, other: Footprint, at_mm: Array, clearance_mm: float) -> Array:
-    """Drop the candidates where the mover or its fingers would meet a shape at any of the points (S, 2)."""
-    chunk = chunk[~_hit(mover.footprint, other, chunk, at_mm, clearance_mm)]
-    for finger in _fingers(mover):
-        chunk = chunk[~_hit(finger, other, chunk, at_mm, 0.0)]
+def _without_hits(
+    chunk: Array, mover: ProblemObject, other: ProblemObject | Obstacle, at_mm: Array, clearance_mm: float
+) -> Array:
+    """Drop the candidates where the mover or its fingers would meet another at any of the points (S, 2)."""
+    chunk = chunk[~_hit(mover.footprint, other.footprint, chunk, at_mm, clearance_mm)]
+    for solid in _lower_than(mover, other.top_mm):
+        chunk = chunk[~_hit(solid, other.footprint, chunk, at_mm, 0.0)]
     return chunk
 
 
@@ -162,8 +186,9 @@ def _hit(a: Footprint, b: Footprint, a_at_mm: Array, b_at_mm: Array, clearance_m
     return hit
 
 
-def _fingers(item: ProblemObject) -> list[Polygon]:
-    return [finger for grip in item.grips for finger in finger_polygons(grip)]
+def _lower_than(item: ProblemObject, top_mm: float) -> list[Polygon]:
+    """Return what comes down lower than a height when an object is gripped."""
+    return [shape for grip in item.grips for shape, bottom_mm in hand_solids(grip) if bottom_mm < top_mm]
 
 
 def _inside(shape: Footprint, points_mm: Array, workspace: Workspace) -> NDArray[np.bool_]:

@@ -7,15 +7,25 @@ d lies on the border of A + (-B), so that the signed distance of the point d to 
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from srvs_cell.planning.problem import Disc, FingerGrip, Footprint, Obstacle, Polygon, Problem, Rectangle
+from srvs_cell.planning.problem import (
+    Disc,
+    FingerGrip,
+    Footprint,
+    Obstacle,
+    Polygon,
+    Problem,
+    ProblemObject,
+    Rectangle,
+)
 from srvs_cell.scene import PlaceKind
 
 if TYPE_CHECKING:
@@ -40,7 +50,8 @@ class ConflictTable:
         place_count: number of places.
         standable: ``[object][place]``: place reachable and clear of obstacles for that object.
         blocked_by: ``[object][place]``: standings of other objects that are too close to the object at that place.
-        grip_blocked_by: ``[object][place][grip]``: standings in the way of the fingers; `NEVER` where an obstacle is.
+        grip_blocked_by: ``[object][place][grip]``: standings in the way of the hand; `NEVER` where an obstacle is, and
+            where the object may not be gripped at all.
         pickable: ``[place]``: reachable and no bin.
         single: mask over places that hold one object only.
     """
@@ -85,17 +96,24 @@ def conflict_table(problem: Problem) -> ConflictTable:
         clear = np.ones(count, dtype=bool)
         for obstacle in problem.obstacles:
             clear &= ~_hits_obstacle(item.footprint, points, obstacle, problem.clearance_mm)
+        blocked = {place for place, _ in item.blocked}
         standable.append(
-            tuple(place.reachable and (bool(clear[place.id]) or not solid[place.id]) for place in problem.places)
+            tuple(
+                place.reachable and place.id not in blocked and (bool(clear[place.id]) or not solid[place.id])
+                for place in problem.places
+            )
         )
-        others = [(other.id, other.footprint) for other in problem.objects if other.id != item.id]
+        others = [other for other in problem.objects if other.id != item.id]
         masks = [0] * count
-        for other, shape in others:
-            for place, places in hits.of(item.footprint, shape, problem.clearance_mm):
-                masks[place] |= places << (other * count)
+        for other in others:
+            for place, places in hits.of(item.footprint, other.footprint, problem.clearance_mm):
+                masks[place] |= places << (other.id * count)
         blocked_by.append(tuple(masks))
         grips = [_grip_masks(grip, points, solid, problem.obstacles, others, hits) for grip in item.grips]
-        grip_blocked_by.append(tuple(zip(*(grips or [[0] * count]), strict=True)))
+        grips = grips or [[0] * count]
+        for grip_masks, place in itertools.product(grips, blocked):
+            grip_masks[place] = NEVER
+        grip_blocked_by.append(tuple(zip(*grips, strict=True)))
     return ConflictTable(
         place_count=count,
         standable=tuple(standable),
@@ -138,6 +156,17 @@ def finger_polygons(grip: FingerGrip) -> tuple[Polygon, Polygon]:
         vertices = np.array(grip.centre_mm) + sign * np.array([c * closing + w * across for c, w in corners])
         sides.append(Polygon(tuple((float(x), float(y)) for x, y in vertices)))
     return sides[0], sides[1]
+
+
+def hand_solids(grip: FingerGrip) -> list[tuple[Polygon, float]]:
+    """Return what comes down on a grip: fingers and palm, each with the height that it does not go below."""
+    solids = [(finger, grip.bottom_mm) for finger in finger_polygons(grip)]
+    if grip.palm is not None:
+        half = grip.palm.half_along_mm
+        # The palm is the "finger" that reaches from the middle to both sides.
+        palm = replace(grip, inner_mm=-half, thick_mm=2.0 * half, width_mm=2.0 * grip.palm.half_across_mm)
+        solids.append((finger_polygons(palm)[0], grip.palm.bottom_mm))
+    return solids
 
 
 def convex_hull(points_mm: Array) -> Array:
@@ -243,16 +272,18 @@ def _grip_masks(
     points: Array,
     solid: list[bool],
     obstacles: tuple[Obstacle, ...],
-    others: list[tuple[int, Footprint]],
+    others: list[ProblemObject],
     hits: _Hits,
 ) -> list[int]:
     masks = [0] * len(points)
-    for finger in finger_polygons(grip):
-        for other, shape in others:
-            for place, places in hits.of(finger, shape, 0.0):
-                masks[place] |= places << (other * len(points))
+    for shape, bottom_mm in hand_solids(grip):
+        for other in others:
+            if other.top_mm > bottom_mm:
+                for place, places in hits.of(shape, other.footprint, 0.0):
+                    masks[place] |= places << (other.id * len(points))
         for obstacle in obstacles:
-            for place in np.flatnonzero(_hits_obstacle(finger, points, obstacle, 0.0)).tolist():
-                if solid[place]:
-                    masks[place] = NEVER
+            if obstacle.top_mm > bottom_mm:
+                for place in np.flatnonzero(_hits_obstacle(shape, points, obstacle, 0.0)).tolist():
+                    if solid[place]:
+                        masks[place] = NEVER
     return masks

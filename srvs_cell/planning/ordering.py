@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from srvs_cell.planning.clearance import finger_polygons, outer_radius_mm, too_close
+from srvs_cell.planning.clearance import hand_solids, outer_radius_mm, too_close
 from srvs_cell.planning.travel import HOME
 from srvs_cell.scene import PlaceKind
 
@@ -95,24 +95,28 @@ def _events(problem: Problem, start: Arrangement, target: Arrangement) -> _Event
     plain = all(places[place].reachable and places[place].kind is not PlaceKind.BIN for place in used)
     if not plain or len(set(start)) < len(start) or any(len(item.grips) > 1 for item in problem.objects):
         return None
+    if any(place in used for item in problem.objects for place, _ in item.blocked):
+        return None
     starts = np.array([(places[place].x_mm, places[place].y_mm) for place in start])
     goals = np.array([(places[place].x_mm, places[place].y_mm) for place in target])
     if _obstructed(problem, starts, goals):
         return None
     shapes = [item.footprint for item in problem.objects]
-    fingers = [finger_polygons(grip) for item in problem.objects for grip in item.grips]
+    hands = [hand_solids(grip) for item in problem.objects for grip in item.grips]
+    tops_mm = np.array([item.top_mm for item in problem.objects])
     before = [0] * (2 * len(start))
     moves = np.array(start) != np.array(target)
     clearance_mm = problem.clearance_mm
     hits = [(1, 0, _hits(shapes, shapes, starts[None, :] - goals[:, None], clearance_mm))]
-    if fingers and len(fingers) < len(start):
+    if (hands and len(hands) < len(start)) or len({len(hand) for hand in hands}) > 1:
         return None
-    for side in zip(*fingers, strict=True):
+    for solids in zip(*hands, strict=True):
+        side = [shape for shape, _ in solids]
+        reaches_down = tops_mm[None, :] > np.array([bottom_mm for _, bottom_mm in solids])[:, None]
         hits += [
-            (0, 0, _hits(side, shapes, starts[None, :] - starts[:, None], 0.0)),
-            (1, 0, _hits(side, shapes, starts[None, :] - goals[:, None], 0.0)),
-            (0, 1, _hits(side, shapes, goals[None, :] - starts[:, None], 0.0)),
-            (1, 1, _hits(side, shapes, goals[None, :] - goals[:, None], 0.0)),
+            (mine, yours, _hits(side, shapes, theirs[None, :] - own[:, None], 0.0) & reaches_down)
+            for mine, own in ((0, starts), (1, goals))
+            for yours, theirs in ((0, starts), (1, goals))
         ]
     both_at_goal = _hits(shapes, shapes, goals[None, :] - goals[:, None], clearance_mm)
     if both_at_goal.any():
@@ -137,7 +141,10 @@ def _obstructed(problem: Problem, starts: Array, goals: Array) -> bool:
             if too_close(item.footprint, obstacle.footprint, both, problem.clearance_mm)[1]:
                 return True
             for grip in item.grips:
-                if any(too_close(side, obstacle.footprint, both, 0.0).any() for side in finger_polygons(grip)):
+                if any(
+                    obstacle.top_mm > bottom_mm and too_close(side, obstacle.footprint, both, 0.0).any()
+                    for side, bottom_mm in hand_solids(grip)
+                ):
                     return True
     return False
 
@@ -166,12 +173,13 @@ def _clear_places(problem: Problem, start: Arrangement, target: Arrangement) -> 
     reach_mm = max(
         outer_radius_mm(shape)
         for item in problem.objects
-        for shape in (item.footprint, *(side for grip in item.grips for side in finger_polygons(grip)))
+        for shape in (item.footprint, *(side for grip in item.grips for side, _ in hand_solids(grip)))
     )
     room_mm = 2.0 * reach_mm + _CORNER * problem.clearance_mm
     used = {*start, *target}
     taken = [(problem.places[place].x_mm, problem.places[place].y_mm, room_mm) for place in used]
     taken += [(o.x_mm, o.y_mm, room_mm - reach_mm + outer_radius_mm(o.footprint)) for o in problem.obstacles]
+    used |= {place for item in problem.objects for place, _ in item.blocked}
     clear = []
     for place in problem.places:
         if place.id in used or not place.reachable or place.kind is PlaceKind.BIN:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from srvs_cell.planning.arm import ArmParameters
+
 _STRICT = ConfigDict(extra="forbid")
 
 Coordinate = Annotated[float, Field(ge=-5000.0, le=5000.0)]
+PalmSize = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -41,6 +44,13 @@ class FingerGeometry:
         float | None,
         Field(gt=0.0, le=500.0, description="distance of the fingers of a gripper that always opens as far as it goes"),
     ] = None
+    length_mm: Annotated[
+        float | None, Field(gt=0.0, le=1000.0, description="from the tips to the palm; null: the palm is not looked at")
+    ] = None
+    palm_mm: Annotated[
+        tuple[PalmSize, PalmSize],
+        Field(description="extent of the palm, and of all that is beside it, along the closing motion and across it"),
+    ] = (120.0, 60.0)
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -78,5 +88,21 @@ class PlanningParameters:
         0.0,
     )
     fingers: FingerGeometry = Field(default_factory=FingerGeometry)
+    unknown_height_mm: Annotated[
+        float, Field(ge=0.0, le=2000.0, description="height that a part of unknown shape is taken to have at least")
+    ] = 120.0
+    objective: Annotated[
+        Literal["time", "length"],
+        Field(description="what is least among the plans with the fewest moves: the arm's time or the straight way"),
+    ] = "time"
+    acceleration_mm_s2: Annotated[
+        float, Field(gt=0.0, le=50_000.0, description="acceleration of the TCP on straight moves, for the time")
+    ] = 2000.0
+    grip_time_s: Annotated[
+        float, Field(ge=0.0, le=20.0, description="time to open or close the gripper, for the time")
+    ] = 0.5
+    arm: Annotated[
+        ArmParameters | None, Field(description="the arm; null: reach and joint limits are not checked beforehand")
+    ] = None
     # A cell that waits for a proof wastes more time than the shorter travel saves: less patience than the default.
     limits: SearchLimits = Field(default_factory=lambda: SearchLimits(max_travel_search=100_000))

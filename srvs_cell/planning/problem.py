@@ -7,6 +7,7 @@ is a position in its tuple.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -56,6 +57,21 @@ Footprint = Disc | Rectangle | Polygon
 
 
 @dataclass(frozen=True)
+class Palm:
+    """What carries the fingers, as a rectangle round the middle between them.
+
+    Attributes:
+        half_along_mm: half its extent along the closing motion.
+        half_across_mm: half its extent across the closing motion.
+        bottom_mm: height of its underside above the table while the fingers grip; what is lower may stand below it.
+    """
+
+    half_along_mm: float
+    half_across_mm: float
+    bottom_mm: float
+
+
+@dataclass(frozen=True)
 class FingerGrip:
     """One way to take an object: the two rectangles on the table that the fingers need, at pick and at place.
 
@@ -66,6 +82,8 @@ class FingerGrip:
         inner_mm: distance from the middle to the inner side of each rectangle.
         thick_mm: extent of each rectangle along the closing motion.
         width_mm: extent of each rectangle across the closing motion.
+        bottom_mm: height above the table that the fingers do not go below; what is lower may stand under them.
+        palm: what comes down behind the fingers, where that matters.
     """
 
     name: str
@@ -74,6 +92,8 @@ class FingerGrip:
     inner_mm: float
     thick_mm: float
     width_mm: float
+    bottom_mm: float = 0.0
+    palm: Palm | None = None
 
 
 @dataclass(frozen=True)
@@ -87,6 +107,8 @@ class ProblemObject:
         start: id of the place where it stands.
         grips: ways to take it; the same one at pick and at place. Empty: the fingers need no room.
         name: what reasons call it.
+        top_mm: height above the table that it certainly does not exceed; what is higher passes over it.
+        blocked: places where it can be neither picked nor put down, each with the reason.
     """
 
     id: int
@@ -95,15 +117,24 @@ class ProblemObject:
     start: int
     grips: tuple[FingerGrip, ...]
     name: str
+    top_mm: float = math.inf
+    blocked: tuple[tuple[int, str], ...] = ()
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Something that stays where it is."""
+    """Something that stays where it is.
+
+    Attributes:
+        footprint: relative to its point.
+        x_mm, y_mm: its point.
+        top_mm: height above the table that it certainly does not exceed.
+    """
 
     footprint: Footprint
     x_mm: float
     y_mm: float
+    top_mm: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,14 @@ def _object_reason(
         return f"stands in a bin ({here}), which is never picked from"
     if not problem.places[origin].reachable:
         return f"stands on {here}, which is out of reach"
+    blocked = dict(problem.objects[item].blocked)
+    if origin in blocked:
+        return f"cannot be gripped on {here}: {blocked[origin]}"
     if not any(problem.places[place].reachable for place in goals):
         return f"belongs on {goal_text}, which is out of reach"
+    if all(place in blocked for place in goals):
+        causes = dict.fromkeys(blocked[place] for place in goals)
+        return f"cannot be put down on {goal_text}: {' or '.join(causes)}"
     if not any(table.standable[item][place] for place in goals):
         return f"belongs on {goal_text}, where an obstacle is in the way"
     if all(mask == NEVER for mask in table.grip_blocked_by[item][origin]):
@@ -115,6 +121,8 @@ def _why_fixed(problem: Problem, table: ConflictTable, item: int, fixed: set[int
     start = problem.objects[item].start
     if not problem.places[start].reachable:
         return ": out of reach"
+    if start in (blocked := dict(problem.objects[item].blocked)):
+        return f": {blocked[start]}"
     if all(mask == NEVER for mask in table.grip_blocked_by[item][start]):
         return ": an obstacle is in the way of the fingers"
     fingers = _in_the_way_of_fingers(problem, table, item, start, fixed)

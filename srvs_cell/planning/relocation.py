@@ -6,19 +6,23 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.planning.access import Access
+from srvs_cell.planning.legs import LegTops, leg_tops, tallest_mm
 from srvs_cell.planning.planner import has_plan, plan
 from srvs_cell.planning.rules import make_rule
 from srvs_cell.planning.table import TableProblem, table_problem
-from srvs_cell.planning.validator import validate
+from srvs_cell.planning.validator import validate, validate_legs
 from srvs_cell.scene import PlaceKind, PlanStatus, Point2, RelocationPlan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from srvs_cell.planning.buffers import Workspace
+    from srvs_cell.planning.hand import HandMotion
     from srvs_cell.planning.parameters import PlanningParameters
+    from srvs_cell.planning.problem import Problem
     from srvs_cell.planning.rules import Rule
-    from srvs_cell.scene import Workpiece
+    from srvs_cell.scene import Move, Workpiece
 
 
 @dataclass(frozen=True)
@@ -28,11 +32,13 @@ class CellMove:
     Attributes:
         workpiece: `Workpiece.id`.
         from_mm, to_mm: x and y of the footprint's centroid on the table, base frame.
+        tops: what the hand passes above on its way.
     """
 
     workpiece: int
     from_mm: Point2
     to_mm: Point2
+    tops: LegTops
 
 
 @dataclass(frozen=True)
@@ -61,9 +67,19 @@ class CellPlan:
     goals: tuple[CellGoal, ...]
     buffers_mm: tuple[Point2, ...]
 
+    @property
+    def above_all(self) -> LegTops:
+        """Legs that pass above everything, wherever it stands by then."""
+        tallest = tallest_mm(self.table.problem)
+        return LegTops(tallest, tallest, tallest)
+
 
 def plan_relocation(
-    workpieces: Sequence[Workpiece], parameters: PlanningParameters, workspace: Workspace, rule: Rule | None = None
+    workpieces: Sequence[Workpiece],
+    parameters: PlanningParameters,
+    workspace: Workspace,
+    rule: Rule | None = None,
+    hand: HandMotion | None = None,
 ) -> CellPlan:
     """Plan what the goal rule wants for what was perceived, and replay the plan in the validator.
 
@@ -74,20 +90,24 @@ def plan_relocation(
         parameters: tolerances, fingers, buffer places, caps.
         workspace: where the hand may go.
         rule: the goal rule; None for the one that the parameters name.
+        hand: how the cell moves the hand; None: heights, reach and joint limits play no part.
 
     Returns:
         the plan; an infeasible one is returned, with its reasons, not raised.
 
     Raises:
         AlarmError: NO_BUFFER_PLACE; UNCERTAIN_POSITION where there is a plan, but not with three sigma of room around
-            what was perceived; PLAN_INVALID where the validator refuses the planner's plan.
+            what was perceived; PLAN_INFEASIBLE where the arm cannot go the ways of the plan; PLAN_INVALID where the
+            validator refuses the planner's plan.
     """
     if rule is None and (parameters.rule != "height_order" or parameters.rule_settings):
         rule = make_rule(parameters.rule, parameters.rule_settings)
     try:
-        table = table_problem(workpieces, parameters, workspace, rule=rule)
+        table = table_problem(workpieces, parameters, workspace, rule=rule, hand=hand)
     except AlarmError as error:
-        if error.alarm is Alarm.NO_BUFFER_PLACE and _is_solvable_if_exact(workpieces, parameters, workspace, 1, rule):
+        if error.alarm is Alarm.NO_BUFFER_PLACE and _is_solvable_if_exact(
+            workpieces, parameters, workspace, 1, rule, hand
+        ):
             raise _too_uncertain((error.detail.rstrip("."),), ()) from error
         raise
     answer = plan(table.problem, parameters.limits)
@@ -97,15 +117,20 @@ def plan_relocation(
             if answer.status is not PlanStatus.INFEASIBLE:
                 break
             try:
-                wider = table_problem(workpieces, parameters, workspace, buffers, rule=rule)
+                wider = table_problem(workpieces, parameters, workspace, buffers, rule=rule, hand=hand)
             except AlarmError as error:
                 # One place was found before, so that "infeasible" and its reasons say more than the alarm would.
                 answer = replace(answer, reasons=(*answer.reasons, f"no further buffer place: {error.detail}"))
                 break
             table, answer = wider, plan(wider.problem, parameters.limits)
-    if answer.status is PlanStatus.INFEASIBLE and _is_solvable_if_exact(workpieces, parameters, workspace, found, rule):
+    if answer.status is PlanStatus.INFEASIBLE and _is_solvable_if_exact(
+        workpieces, parameters, workspace, found, rule, hand
+    ):
         raise _too_uncertain(answer.reasons, table.notes)
-    return _cell_plan(table, answer)
+    made = _cell_plan(table, answer)
+    if hand is not None:
+        _check_ways(made, workpieces, hand, Access(hand, parameters.arm, workspace))
+    return made
 
 
 def _too_uncertain(reasons: tuple[str, ...], notes: tuple[str, ...]) -> AlarmError:
@@ -121,10 +146,11 @@ def _is_solvable_if_exact(
     workspace: Workspace,
     buffers: int,
     rule: Rule | None,
+    hand: HandMotion | None,
 ) -> bool:
     """Tell whether there would be a plan without the room that is kept for the vision's uncertainty."""
     try:
-        exact = table_problem(workpieces, parameters, workspace, max(buffers, 1), rule=rule, exact=True)
+        exact = table_problem(workpieces, parameters, workspace, max(buffers, 1), rule=rule, hand=hand, exact=True)
     except AlarmError:
         return False
     return has_plan(plan(exact.problem, parameters.limits))
@@ -142,10 +168,52 @@ def _cell_plan(table: TableProblem, answer: RelocationPlan) -> CellPlan:
     return CellPlan(
         table=table,
         relocation=replace(answer, reasons=(*answer.reasons, *table.notes)),
-        moves=tuple(
-            CellMove(table.workpieces[move.object], points[move.from_place], points[move.to_place])
-            for move in answer.moves
-        ),
+        moves=cell_moves(problem, answer.moves, table.workpieces),
         goals=tuple(CellGoal(table.workpieces[i], points[end]) for i, end in ends.items()) if planned else (),
         buffers_mm=tuple(points[place.id] for place in problem.places if place.kind is PlaceKind.BUFFER),
     )
+
+
+def cell_moves(problem: Problem, moves: Sequence[Move], workpieces: Sequence[int]) -> tuple[CellMove, ...]:
+    """Return moves in the cell's terms.
+
+    Args:
+        problem: the problem.
+        moves: a valid plan of it.
+        workpieces: id of the workpiece behind each object.
+
+    Raises:
+        AlarmError: PLAN_INVALID where the validator finds something higher under a way than the plan says.
+    """
+    points = [(place.x_mm, place.y_mm) for place in problem.places]
+    tops = leg_tops(problem, moves)
+    refusal = validate_legs(problem, moves, tops)
+    if refusal:
+        raise AlarmError(Alarm.PLAN_INVALID, f"{'; '.join(refusal)}.")
+    return tuple(
+        CellMove(workpieces[move.object], points[move.from_place], points[move.to_place], heights)
+        for move, heights in zip(moves, tops, strict=True)
+    )
+
+
+def _check_ways(made: CellPlan, workpieces: Sequence[Workpiece], hand: HandMotion, access: Access) -> None:
+    """Raise PLAN_INFEASIBLE where the arm cannot go straight from pose to pose of the plan, in one configuration."""
+    grasps = {workpiece.id: workpiece.grasp for workpiece in workpieces}
+    carried: dict[int, Point2] = {}
+    before = hand.observe
+    for number, move in enumerate(made.moves, start=1):
+        grasp = grasps[move.workpiece]
+        if grasp is None:
+            raise AlarmError(Alarm.PLAN_INVALID, f"Move {number}: workpiece {move.workpiece} has no grasp.")
+        x_mm, y_mm = carried.get(move.workpiece, (0.0, 0.0))
+        offset_mm = (move.to_mm[0] - move.from_mm[0], move.to_mm[1] - move.from_mm[1])
+        at = hand.grasp_pose(grasp, (x_mm, y_mm))
+        pick, lifted = hand.pick_way(at, move.tops)
+        place, leave = hand.place_way(hand.release_pose(at, offset_mm), hand.hang_mm(at), move.tops)
+        way = [before, pick.above, pick.at, lifted, place.above, place.at, leave.above]
+        if number == len(made.moves):
+            way += [replace(leave.above, z_mm=max(hand.observe.z_mm, leave.above.z_mm)), hand.observe]
+        if why := access.why_not_way(way):
+            raise AlarmError(Alarm.PLAN_INFEASIBLE, f"Move {number}, workpiece {move.workpiece}: {why} on the way.")
+        carried[move.workpiece] = (x_mm + offset_mm[0], y_mm + offset_mm[1])
+        before = leave.above

@@ -7,17 +7,17 @@ orientation when moved.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from srvs_cell.alarms import AlarmError
+from srvs_cell.planning.access import Access
 from srvs_cell.planning.buffers import Workspace, find_buffer
 from srvs_cell.planning.clearance import convex_hull
 from srvs_cell.planning.goals import goal_rule
-from srvs_cell.planning.problem import FingerGrip, Obstacle, Polygon, Problem, ProblemObject
+from srvs_cell.planning.problem import FingerGrip, Obstacle, Palm, Polygon, Problem, ProblemObject
 from srvs_cell.planning.rules import HeightOrder, Standing
 from srvs_cell.planning.uncertainty import (
     SIGMAS,
@@ -25,16 +25,18 @@ from srvs_cell.planning.uncertainty import (
     footprint_growth_mm,
     grown,
     sigma_mm,
+    top_mm,
     wider,
 )
 from srvs_cell.scene import UNKNOWN_KIND, Place, PlaceKind, Point2, Workpiece
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from srvs_cell.planning.parameters import FingerGeometry, PlanningParameters
+    from srvs_cell.planning.hand import HandMotion
+    from srvs_cell.planning.parameters import PlanningParameters
     from srvs_cell.planning.rules import Rule
     from srvs_cell.scene import Grasp
 
@@ -63,6 +65,7 @@ def table_problem(
     buffers: int = 1,
     *,
     rule: Rule | None = None,
+    hand: HandMotion | None = None,
     exact: bool = False,
 ) -> TableProblem:
     """Make the problem of the workpieces on the table; without a rule that of `HeightOrder`.
@@ -73,6 +76,7 @@ def table_problem(
         workspace: where the hand may go; workpieces outside it count as out of reach.
         buffers: how many buffer places to look for where none is configured and the order is not kept already.
         rule: what the scene should become.
+        hand: how the cell moves the hand; None: heights, reach and joint limits play no part.
         exact: take the positions for exact, and not for as uncertain as the vision says.
 
     Raises:
@@ -91,6 +95,7 @@ def table_problem(
     slots += tuple(
         Place(len(slots) + i, x, y, kind, workspace.contains(x, y)) for i, ((x, y), kind) in enumerate(choice.further)
     )
+    access = None if hand is None else Access(hand, parameters.arm, workspace)
     configured = tuple(
         Place(len(slots) + i, x, y, PlaceKind.BUFFER, workspace.contains(x, y))
         for i, (x, y) in enumerate(parameters.buffer_places_mm)
@@ -99,28 +104,27 @@ def table_problem(
         id="table",
         places=slots + configured,
         objects=tuple(
-            _object(i, workpiece, centre, parameters, () if exact else workpieces)
+            _object(i, workpiece, centre, parameters, hand, () if exact else workpieces)
             for i, (workpiece, centre) in enumerate(zip(movable, centres, strict=True))
         ),
-        obstacles=tuple(
-            _obstacle(w, 0.0 if exact else footprint_growth_mm(w, parameters.clearance_mm)) for w in static
-        ),
+        obstacles=tuple(_obstacle(w, parameters, exact=exact) for w in static),
         goal=choice.goal,
         home_mm=parameters.home_mm,
         clearance_mm=parameters.clearance_mm,
     )
     reached = goal_rule(problem).is_reached(tuple(range(len(movable))))
+    allowed = accessible(movable, access)
     if not configured and not reached:
         for _ in range(buffers):
             try:
-                problem = find_buffer(problem, workspace, parameters.buffer_grid_mm)
+                problem = find_buffer(problem, workspace, parameters.buffer_grid_mm, allowed)
             except AlarmError:
                 # Where places are free from the beginning the search finds out whether that is enough.
                 if not choice.further:
                     raise
                 break
     return TableProblem(
-        problem,
+        with_access(problem, movable, access),
         tuple(w.id for w in movable),
         tuple(w.id for w in static),
         (
@@ -142,6 +146,40 @@ def table_problem(
             ),
         ),
     )
+
+
+def accessible(
+    movable: Sequence[Workpiece], access: Access | None
+) -> Callable[[ProblemObject, NDArray[np.float64]], NDArray[np.bool_]] | None:
+    """Return what tells, of an object and points (N, 2), where it can be picked and put down."""
+    if access is None:
+        return None
+
+    def allowed(item: ProblemObject, points_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+        workpiece = movable[item.id]
+        if workpiece.grasp is None:
+            return np.zeros(len(points_mm), dtype=bool)
+        offsets_mm = points_mm - np.array(footprint_centroid_mm(workpiece.footprint_mm))
+        return access.mask(workpiece.grasp, offsets_mm, item.top_mm)
+
+    return allowed
+
+
+def with_access(problem: Problem, movable: Sequence[Workpiece], access: Access | None) -> Problem:
+    """Return the problem with the places where each object can be neither picked nor put down."""
+    if access is None:
+        return problem
+    objects = []
+    for item, workpiece in zip(problem.objects, movable, strict=True):
+        blocked = []
+        here = problem.places[item.start]
+        for place in problem.places:
+            if workpiece.grasp is not None and place.reachable:
+                offset_mm = (place.x_mm - here.x_mm, place.y_mm - here.y_mm)
+                if why := access.why_not(workpiece.grasp, offset_mm, item.top_mm):
+                    blocked.append((place.id, why))
+        objects.append(replace(item, blocked=tuple(blocked)))
+    return replace(problem, objects=tuple(objects))
 
 
 def footprint_centroid_mm(footprint_mm: NDArray[np.float64]) -> Point2:
@@ -167,12 +205,13 @@ def _object(
     workpiece: Workpiece,
     centre_mm: Point2,
     parameters: PlanningParameters,
+    hand: HandMotion | None,
     uncertain: Sequence[Workpiece],
 ) -> ProblemObject:
     """Return the object of a workpiece; with ``uncertain`` workpieces around, room for three sigma is kept."""
     footprint = _relative_polygon(workpiece.footprint_mm, centre_mm)
     grasps = () if workpiece.grasp is None else (workpiece.grasp,)
-    grips = tuple(_grip(grasp, centre_mm, parameters.fingers) for grasp in grasps)
+    grips = tuple(_grip(grasp, centre_mm, parameters, hand) for grasp in grasps)
     if uncertain:
         footprint = grown(footprint, footprint_growth_mm(workpiece, parameters.clearance_mm))
         growth_mm = finger_growth_mm(workpiece, uncertain)
@@ -184,13 +223,23 @@ def _object(
         start=index,
         grips=grips,
         name=_name(workpiece),
+        top_mm=top_mm(workpiece, parameters.unknown_height_mm) if uncertain else workpiece.height_mm,
     )
 
 
-def _grip(grasp: Grasp, centre_mm: Point2, fingers: FingerGeometry) -> FingerGrip:
-    """Return the room that the fingers sweep from closed on the workpiece to open."""
+def _grip(grasp: Grasp, centre_mm: Point2, parameters: PlanningParameters, hand: HandMotion | None) -> FingerGrip:
+    """Return the room that the hand sweeps: the fingers from closed on the workpiece to open, and the palm.
+
+    What stands lower than the tips, by the clearance at least, may be under them.
+    """
+    fingers = parameters.fingers
     closed_mm = grasp.opening_mm / 2.0
     open_mm = closed_mm + fingers.clearance_mm if fingers.open_mm is None else max(fingers.open_mm / 2.0, closed_mm)
+    tips_mm = 0.0 if hand is None else hand.hang_mm(hand.grasp_pose(grasp)) - parameters.clearance_mm
+    palm = None
+    if hand is not None and fingers.length_mm is not None:
+        along_mm, across_mm = fingers.palm_mm
+        palm = Palm(along_mm / 2.0, across_mm / 2.0, tips_mm + fingers.length_mm)
     return FingerGrip(
         name=f"yaw {grasp.yaw_deg:.1f} deg",
         centre_mm=(grasp.position_mm[0] - centre_mm[0], grasp.position_mm[1] - centre_mm[1]),
@@ -198,21 +247,21 @@ def _grip(grasp: Grasp, centre_mm: Point2, fingers: FingerGeometry) -> FingerGri
         inner_mm=closed_mm,
         thick_mm=open_mm - closed_mm + fingers.thickness_mm,
         width_mm=fingers.width_mm,
+        bottom_mm=max(0.0, tips_mm),
+        palm=palm,
     )
 
 
-def _obstacle(workpiece: Workpiece, growth_mm: float) -> Obstacle:
+def _obstacle(workpiece: Workpiece, parameters: PlanningParameters, *, exact: bool) -> Obstacle:
+    """Return a workpiece that stays where it is; however exact its place is, nobody knows what was not seen of it."""
     centre_mm = footprint_centroid_mm(workpiece.footprint_mm)
-    return Obstacle(grown(_relative_polygon(workpiece.footprint_mm, centre_mm), growth_mm), *centre_mm)
+    growth_mm = 0.0 if exact else footprint_growth_mm(workpiece, parameters.clearance_mm)
+    shape = grown(_relative_polygon(workpiece.footprint_mm, centre_mm), growth_mm)
+    return Obstacle(shape, *centre_mm, top_mm=top_mm(workpiece, parameters.unknown_height_mm))
 
 
 def _out_of_reach(workpiece: Workpiece, centre_mm: Point2, workspace: Workspace) -> str:
-    x_mm, y_mm = centre_mm
-    beyond_mm = math.hypot(
-        max(workspace.x_min_mm - x_mm, 0.0, x_mm - workspace.x_max_mm),
-        max(workspace.y_min_mm - y_mm, 0.0, y_mm - workspace.y_max_mm),
-    )
-    return f"{_name(workpiece)} cannot leave: out of reach by {beyond_mm:.0f} mm"
+    return f"{_name(workpiece)} cannot leave: out of reach by {workspace.beyond_mm(*centre_mm):.0f} mm"
 
 
 def _uncertain(workpiece: Workpiece, parameters: PlanningParameters) -> str:

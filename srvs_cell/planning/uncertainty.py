@@ -14,6 +14,7 @@ import numpy as np
 
 from srvs_cell.planning.clearance import convex_hull
 from srvs_cell.planning.problem import Polygon
+from srvs_cell.scene import UNKNOWN_KIND
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +35,17 @@ def sigma_mm(workpiece: Workpiece) -> float:
         return 0.0
     worst_mm2 = float(np.linalg.eigvalsh(workpiece.covariance_mm2[:2, :2])[-1])
     return math.sqrt(max(worst_mm2, 0.0))
+
+
+def top_mm(workpiece: Workpiece, unknown_height_mm: float) -> float:
+    """Return a height above the table that a workpiece certainly does not exceed: three sigma above its own.
+
+    A part of unknown shape may rise where nothing was seen of it: it is taken for ``unknown_height_mm`` at least.
+    """
+    variance_mm2 = float(workpiece.covariance_mm2[2, 2])
+    sigma = math.sqrt(max(variance_mm2, 0.0)) if math.isfinite(variance_mm2) else 0.0
+    top = workpiece.height_mm + SIGMAS * sigma
+    return max(top, unknown_height_mm) if workpiece.kind == UNKNOWN_KIND else top
 
 
 def footprint_growth_mm(workpiece: Workpiece, clearance_mm: float) -> float:
@@ -58,5 +70,10 @@ def finger_growth_mm(workpiece: Workpiece, others: Sequence[Workpiece]) -> float
 
 
 def wider(grip: FingerGrip, growth_mm: float) -> FingerGrip:
-    """Return the room of fingers grown to all sides but the one that closes on the workpiece."""
-    return replace(grip, thick_mm=grip.thick_mm + growth_mm, width_mm=grip.width_mm + 2.0 * growth_mm)
+    """Return the room of the hand grown to all sides but the one that closes on the workpiece."""
+    palm = grip.palm
+    if palm is not None:
+        palm = replace(
+            palm, half_along_mm=palm.half_along_mm + growth_mm, half_across_mm=palm.half_across_mm + growth_mm
+        )
+    return replace(grip, thick_mm=grip.thick_mm + growth_mm, width_mm=grip.width_mm + 2.0 * growth_mm, palm=palm)

@@ -16,7 +16,8 @@ from srvs_cell.scene import PlaceKind
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from srvs_cell.planning.problem import FingerGrip, Footprint, Obstacle, Problem, ProblemObject, RankGoal
+    from srvs_cell.planning.legs import LegTops
+    from srvs_cell.planning.problem import FingerGrip, Footprint, Obstacle, Palm, Problem, ProblemObject, RankGoal
     from srvs_cell.scene import Move, Place, Point2
 
 _TOUCH_MM = 1e-6
@@ -47,6 +48,63 @@ def validate(problem: Problem, plan_moves: Sequence[Move]) -> list[str]:
         stands[move.object] = move.to_place
         table.moved(move)
     return [f"goal_not_reached ({what})" for what in _unmet_goals(problem, stands)]
+
+
+def validate_legs(problem: Problem, plan_moves: Sequence[Move], tops: Sequence[LegTops]) -> list[str]:
+    """Replay a valid plan; return the legs under which something rises higher than the plan says, empty for none.
+
+    Args:
+        problem: the problem that the plan answers.
+        plan_moves: moves in order, as `validate` accepts them.
+        tops: what each move's legs pass above.
+    """
+    stands = [item.start for item in problem.objects]
+    refusals = []
+    hand_from: Place | None = None
+    for number, (move, heights) in enumerate(zip(plan_moves, tops, strict=True), start=1):
+        origin, target = problem.places[move.from_place], problem.places[move.to_place]
+        highest = _under_mm(problem, stands, hand_from or origin, origin, None)
+        if highest > heights.to_pick_mm:
+            refusals.append(f"move {number}: something under the way to the workpiece is {highest:.1f} mm high")
+        highest = _under_mm(problem, stands, origin, target, move.object)
+        if highest > heights.carried_mm:
+            refusals.append(f"move {number}: something under the carried workpiece is {highest:.1f} mm high")
+        stands[move.object] = move.to_place
+        following = problem.places[plan_moves[number].from_place] if number < len(plan_moves) else target
+        highest = _under_mm(problem, stands, target, following, None)
+        if highest > heights.away_mm:
+            refusals.append(f"move {number}: something under the way from the place is {highest:.1f} mm high")
+        hand_from = target
+    return refusals
+
+
+def _under_mm(problem: Problem, stands: list[int], begin: Place, end: Place, held: int | None) -> float:
+    """Return the height of the highest thing under the hand and what it holds; less for what only the palm passes."""
+    things: list[tuple[Footprint, Place | Obstacle, float]] = [
+        (item.footprint, problem.places[stands[item.id]], item.top_mm) for item in problem.objects if item.id != held
+    ]
+    things += [(obstacle.footprint, obstacle, obstacle.top_mm) for obstacle in problem.obstacles]
+    hands = [
+        (max(math.hypot(x, y) for x, y in shape.vertices_mm), length_mm)
+        for item in problem.objects
+        for grip in item.grips
+        for shape, length_mm in (
+            *((finger, 0.0) for finger in _fingers(grip)),
+            *(() if grip.palm is None else ((_palm(grip, grip.palm), grip.palm.bottom_mm - grip.bottom_mm),)),
+        )
+    ]
+    if held is not None:
+        corners, round_mm = _corners(problem.objects[held].footprint, 0.0, 0.0)
+        hands.append((max(math.hypot(x, y) for x, y in corners) + round_mm, 0.0))
+    highest = 0.0
+    line = [(begin.x_mm, begin.y_mm), (end.x_mm, end.y_mm)] if begin.id != end.id else [(begin.x_mm, begin.y_mm)]
+    for shape, at, top_mm in things:
+        corners, round_mm = _corners(shape, at.x_mm, at.y_mm)
+        gap_mm = _gap_mm(line, corners) - round_mm
+        for reach_mm, length_mm in hands:
+            if gap_mm < reach_mm + problem.clearance_mm - _TOUCH_MM:
+                highest = max(highest, top_mm - length_mm)
+    return highest
 
 
 class _Table:
@@ -85,8 +143,10 @@ class _Table:
 def _radius_mm(item: ProblemObject) -> float:
     """Return the radius of a circle round the reference point that holds an object and its fingers."""
     corners, round_mm = _corners(item.footprint, 0.0, 0.0)
-    fingers = [point for grip in item.grips for finger in _fingers(grip) for point in finger.vertices_mm]
-    return max(*(math.hypot(x, y) + round_mm for x, y in corners), *(math.hypot(x, y) for x, y in fingers), 0.0)
+    shapes = [finger for grip in item.grips for finger in _fingers(grip)]
+    shapes += [_palm(grip, grip.palm) for grip in item.grips if grip.palm is not None]
+    hand = [point for shape in shapes for point in shape.vertices_mm]
+    return max(*(math.hypot(x, y) + round_mm for x, y in corners), *(math.hypot(x, y) for x, y in hand), 0.0)
 
 
 def _wrong_move(problem: Problem, stands: list[int], table: _Table, move: Move) -> str:
@@ -112,6 +172,10 @@ def _wrong_move(problem: Problem, stands: list[int], table: _Table, move: Move) 
         if number != move.object
     ]
     item = problem.objects[move.object]
+    for what, place in (("unreachable_pick", origin), ("unreachable_place", target)):
+        for blocked, reason in item.blocked:
+            if blocked == place.id:
+                return f"{what} (object {item.id}, place {place.id}: {reason})"
     if target.kind is not PlaceKind.BIN:
         for other, place in others:
             if place.id == target.id:
@@ -135,11 +199,16 @@ def _fingers_free(
 ) -> bool:
     if place.kind is PlaceKind.BIN:
         return True
-    for finger in _fingers(grip):
-        if any(_near(finger, place, other.footprint, stands, 0.0) for other, stands in others):
-            return False
-        if any(_near(finger, place, obstacle.footprint, obstacle, 0.0) for obstacle in problem.obstacles):
-            return False
+    solids = [(finger, grip.bottom_mm) for finger in _fingers(grip)]
+    if grip.palm is not None:
+        solids.append((_palm(grip, grip.palm), grip.palm.bottom_mm))
+    for solid, bottom_mm in solids:
+        for other, stands in others:
+            if other.top_mm > bottom_mm and _near(solid, place, other.footprint, stands, 0.0):
+                return False
+        for obstacle in problem.obstacles:
+            if obstacle.top_mm > bottom_mm and _near(solid, place, obstacle.footprint, obstacle, 0.0):
+                return False
     return True
 
 
@@ -154,6 +223,16 @@ def _fingers(grip: FingerGrip) -> list[Polygon]:
             corners.append((grip.centre_mm[0] + u * cos - v * sin, grip.centre_mm[1] + u * sin + v * cos))
         rectangles.append(Polygon(tuple(corners)))
     return rectangles
+
+
+def _palm(grip: FingerGrip, palm: Palm) -> Polygon:
+    """Return the palm's rectangle, counter-clockwise, relative to the object's reference point."""
+    turn = complex(math.cos(math.radians(grip.yaw_deg)), math.sin(math.radians(grip.yaw_deg)))
+    corners = []
+    for along, across in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+        corner = complex(*grip.centre_mm) + turn * complex(along * palm.half_along_mm, across * palm.half_across_mm)
+        corners.append((corner.real, corner.imag))
+    return Polygon(tuple(corners))
 
 
 def _near(a: Footprint, a_at: Place, b: Footprint, b_at: Place | Obstacle, clearance_mm: float) -> bool:

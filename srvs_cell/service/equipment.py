@@ -46,7 +46,7 @@ def make_unit(config: CellConfig, state_dir: Path) -> Unit:
         recorder=RunRecorder(state_dir, config.service.keep_runs),
         calibration=calibration,
         perceive=partial(_perceive, config, calibration),
-        plan=partial(plan_relocation, parameters=config.planning, workspace=workspace),
+        plan=partial(plan_relocation, parameters=config.planning, workspace=workspace, hand=config.cell.hand()),
         pictures=_pictures,
         analyse_left=partial(_analyse_left, config, calibration),
     )

@@ -141,7 +141,7 @@ def build(tmp_path: Path, blocks: Sequence[Block] | None = None, parameters: Cel
         return seen(world)
 
     def plan(workpieces: Sequence[Workpiece]) -> CellPlan:
-        return plan_relocation(workpieces, PlanningParameters(), workspace)
+        return plan_relocation(workpieces, PlanningParameters(), workspace, hand=parameters.hand())
 
     equipment = Equipment(
         parameters=parameters,

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis.strategies import floats, sampled_from
 
-from srvs_cell.cell.motion import Approach, HeldPart, grasp_pose, held_part, tool_rotation_deg, travel_height_mm
-from srvs_cell.config import MotionParameters
+from srvs_cell.cell.motion import HeldPart, held_part
 from srvs_cell.geometry import Xyzwpr, fanuc_rotation
-from srvs_cell.planning import CellMove
+from srvs_cell.planning import Approach, CellMove, LegTops
+from srvs_cell.planning.hand import tool_rotation_deg
 from srvs_cell.scene import Grasp
-from tests.cell.support import OBSERVE, seen, three_blocks
+from tests.cell.support import PARAMETERS, seen, three_blocks
 
 from drivers.sim.doubles import World  # isort: skip
 
@@ -38,24 +40,33 @@ def test_an_approach_only_goes_down(at_z_mm: float, travel_z_mm: float, approach
     assert {(pose.x_mm, pose.y_mm, pose.r_deg) for pose in (way.at, way.near, way.above)} == {(1.0, 2.0, 30.0)}
 
 
+HAND = replace(PARAMETERS.hand(), table_z_mm=10.0, release_gap_mm=1.5, clearance_mm=30.0, approach_mm=40.0)
+TOPS = LegTops(60.0, 80.0, 20.0)
+
+
 def test_a_part_is_let_go_as_far_from_its_grasp_as_it_was_moved() -> None:
-    motion = MotionParameters(release_gap_mm=1.5)
     workpiece = seen(World(three_blocks())).workpieces[1]
     assert workpiece.grasp is not None
-    at = grasp_pose(workpiece.grasp, (10.0, -5.0), motion, OBSERVE)
+    at = HAND.grasp_pose(workpiece.grasp, (10.0, -5.0))
     assert (at.x_mm, at.y_mm, at.z_mm) == (310.0, -5.0, 30.0)
-    part = held_part(workpiece, CellMove(1, (310.0, -5.0), (250.0, 100.0)), at, 10.0, motion)
+    part = held_part(workpiece, CellMove(1, (310.0, -5.0), (250.0, 100.0), TOPS), at, HAND)
     assert (part.place.x_mm, part.place.y_mm, part.place.z_mm, part.place.r_deg) == (250.0, 100.0, 31.5, at.r_deg)
     assert part.hang_mm == 20.0
     assert HeldPart.from_json(part.as_json()) == part
 
 
-def test_a_held_part_passes_above_the_tallest() -> None:
-    assert travel_height_mm(10.0, 60.0, 30.0) == 100.0
-    assert travel_height_mm(10.0, 60.0, 30.0, hang_mm=40.0) == 140.0
+def test_each_leg_passes_above_what_stands_under_it() -> None:
+    at = Xyzwpr(300.0, 0.0, 50.0, 180.0, 0.0, 0.0)
+    way, lifted = HAND.pick_way(at, TOPS)
+    assert (way.above.z_mm, way.near.z_mm, way.at.z_mm) == (100.0, 90.0, 50.0)
+    # What hangs 40 mm below the TCP passes 30 mm above what is 80 mm high.
+    assert lifted.z_mm == 10.0 + 80.0 + 30.0 + 40.0
+    down, leave = HAND.place_way(at, 40.0, TOPS)
+    assert down.above.z_mm == lifted.z_mm
+    assert (leave.near.z_mm, leave.above.z_mm) == (60.0, 60.0)
 
 
 def test_the_tool_never_turns_more_than_a_quarter_from_the_observe_pose() -> None:
     grasp = Grasp((0.0, 0.0, 10.0), 0.0, 30.0)
-    turned = Xyzwpr(0.0, 0.0, 0.0, 180.0, 0.0, -80.0)
-    assert grasp_pose(grasp, (0.0, 0.0), MotionParameters(), turned).r_deg == pytest.approx(-90.0)
+    turned = replace(HAND, observe=Xyzwpr(0.0, 0.0, 0.0, 180.0, 0.0, -80.0))
+    assert turned.grasp_pose(grasp).r_deg == pytest.approx(-90.0)

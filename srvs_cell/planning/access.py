@@ -1,0 +1,76 @@
+"""Where the hand can take and leave a workpiece: workspace box, reach and joint limits, along the way down and up."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srvs_cell.geometry import Transform
+from srvs_cell.planning.arm import ArmReach
+from srvs_cell.planning.hand import Approach
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srvs_cell.geometry import Array, Xyzwpr
+    from srvs_cell.planning.arm import ArmParameters
+    from srvs_cell.planning.buffers import Workspace
+    from srvs_cell.planning.hand import HandMotion
+    from srvs_cell.scene import Grasp, Point2
+
+
+class Access:
+    """Tells whether the TCP may go down to a place and up again.
+
+    Args:
+        hand: how the cell moves the hand.
+        arm: the arm; None: reach and joint limits are not checked.
+        workspace: where the TCP may be.
+    """
+
+    def __init__(self, hand: HandMotion, arm: ArmParameters | None, workspace: Workspace) -> None:
+        self._hand, self._workspace = hand, workspace
+        self._reach = None if arm is None else ArmReach(arm, hand.observe)
+
+    def why_not(self, grasp: Grasp, offset_mm: Point2, top_mm: float) -> str:
+        """Return why a workpiece cannot be gripped after it was moved by an offset, or an empty string.
+
+        Args:
+            grasp: of the workpiece where it was seen.
+            offset_mm: from there.
+            top_mm: its height at most: the hand comes down from above it.
+        """
+        at = self._hand.grasp_pose(grasp, offset_mm)
+        low_mm, high_mm = self._hand.z_mm
+        if not low_mm <= at.z_mm <= high_mm:
+            return f"the grasp at z = {at.z_mm:.1f} mm is outside the workspace's {low_mm:g} to {high_mm:g} mm"
+        beyond_mm = self._workspace.beyond_mm(at.x_mm, at.y_mm)
+        if beyond_mm > 0.0:
+            return f"out of the workspace by {beyond_mm:.0f} mm"
+        return "" if self._reach is None else self._reach.why_not(self._column(at, top_mm))
+
+    def mask(self, grasp: Grasp, offsets_mm: Array, top_mm: float) -> NDArray[np.bool_]:
+        """Return, per offset (N, 2), whether a workpiece can be gripped there, looking at both ends of the way down."""
+        low = self._hand.grasp_pose(grasp)
+        x_mm, y_mm = offsets_mm[:, 0] + low.x_mm, offsets_mm[:, 1] + low.y_mm
+        free: NDArray[np.bool_] = self._workspace.holds(x_mm, y_mm)
+        if self._reach is None:
+            return free
+        for end in self._column(low, top_mm):
+            poses = np.tile(Transform.from_xyzwpr("base", "tcp", end).matrix, (len(offsets_mm), 1, 1))
+            poses[:, :2, 3] += offsets_mm
+            free &= self._reach.within(poses)
+        return free
+
+    def why_not_way(self, way: list[Xyzwpr]) -> str:
+        """Return why the TCP cannot go straight from pose to pose, or an empty string."""
+        low_mm, high_mm = self._hand.z_mm
+        for pose in way:
+            if not low_mm <= pose.z_mm <= high_mm:
+                return f"z = {pose.z_mm:.1f} mm is outside the workspace's {low_mm:g} to {high_mm:g} mm"
+        return "" if self._reach is None else self._reach.why_not(way)
+
+    def _column(self, at: Xyzwpr, top_mm: float) -> list[Xyzwpr]:
+        way = Approach.of(at, self._hand.travel_z_mm(top_mm, self._hand.hang_mm(at)), self._hand.approach_mm)
+        return [way.at, way.above]
