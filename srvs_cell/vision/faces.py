@@ -95,6 +95,15 @@ class Face:
         return self.width_mm if self.figure is Figure.RECTANGLE else self.length_mm
 
 
+def inclined_faces(rectangle: Face, slope: float) -> list[Face]:
+    """Return a level rectangle inclined along each of its sides, upwards and downwards, by a rise per millimetre."""
+    faces = []
+    for _ in _SQUARE:
+        faces.append(replace(rectangle, slope_u=slope))
+        rectangle = rectangle.quarter_turned()
+    return faces
+
+
 def unit_corners(figure: Figure) -> Array:
     """Return a figure's corners (a circle: 24 points) in its unit square [-1, 1], counter-clockwise, (N, 2)."""
     if figure is Figure.RECTANGLE:

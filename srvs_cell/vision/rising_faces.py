@@ -7,13 +7,12 @@ it is, is seen by fitting them to the grey values of both images.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
+from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, inclined_faces
 from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
 
 if TYPE_CHECKING:
@@ -45,7 +44,6 @@ _BEST_OF_KIND = 2
 _START_SLOPE = 0.36
 _GENTLE_SLOPE = 0.2
 _LEAST_INCLINATION_DEG = 5.0
-_SIDES = 4
 _CORNERS = 3
 _UP = np.array([0.0, 0.0, 1.0])
 _INCLINED_GAIN = 0.7
@@ -116,7 +114,7 @@ def _better_inclined(
     """
     candidates = [] if inclined is None else [inclined]
     if level is not None and level.face.figure is Figure.RECTANGLE:
-        tilted = [replace(face, slope_u=_GENTLE_SLOPE) for face in _inclined(level.face)]
+        tilted = inclined_faces(level.face, _GENTLE_SLOPE)
         candidates += [fit for fit in _fitted(tilted, pictures, rig, table_z_mm, REACH) if possible(fit)]
     steepest = min((fit for fit in candidates if _is_inclined(fit)), key=_misfit, default=None)
     if level is None or steepest is None:
@@ -138,7 +136,7 @@ def _fits_of(
 ) -> list[FaceFit]:
     """Return the fits that one seed leads to: scouted at each height, then as each figure at the best heights."""
     level = [_rectangle(border, z_mm) for z_mm, border in seed]
-    inclined = [face for rectangle in level[::_INCLINED_STRIDE] for face in _inclined(rectangle)]
+    inclined = [face for rectangle in level[::_INCLINED_STRIDE] for face in inclined_faces(rectangle, _START_SLOPE)]
     scouted = fit_profiles(level, [False] * len(level), pictures, rig, table_z_mm, SCOUT)
     misfits = [np.inf if fit is None else fit.rms_px for fit in scouted]
     best = [seed[number] for number in np.argsort(misfits)[:_KEPT_HEIGHTS]]
@@ -265,12 +263,3 @@ def _figures(border: Array, z_mm: float) -> list[Face]:
         for turn in (0.0, np.pi / 6.0)
     ]
     return [rectangle, circle, *hexagons]
-
-
-def _inclined(rectangle: Face) -> list[Face]:
-    """Return a rectangle inclined along each of its sides, upwards and downwards."""
-    faces = []
-    for _ in range(_SIDES):
-        faces.append(replace(rectangle, slope_u=_START_SLOPE))
-        rectangle = rectangle.quarter_turned()
-    return faces

@@ -12,25 +12,23 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.face_fit import SETTLE, fit_faces
-from srvs_cell.vision.profile_fit import fit_profiles, measure_blur
+from srvs_cell.vision.profile_fit import measure_blur
 from srvs_cell.vision.profiles import Pictures
 from srvs_cell.vision.relief import risen, rising_outlines
 from srvs_cell.vision.rising_faces import fit_rising
 from srvs_cell.vision.top_faces import is_top
 from srvs_cell.vision.tops import CERTAIN_RMS_PX, Top, explained_polygons, one_per_place, share_place
+from srvs_cell.vision.witnesses import Bench, Witnesses
 
 if TYPE_CHECKING:
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage
-    from srvs_cell.vision.face_fit import EdgeField, FaceFit
+    from srvs_cell.vision.face_fit import EdgeField
     from srvs_cell.vision.faces import Face
     from srvs_cell.vision.recognition import RecognitionParameters
     from srvs_cell.vision.rectification import RectifiedRig
     from srvs_cell.vision.relief import Relief
 
-_GOOD_RMS_PX = 0.3
-"""A fit to the grey values that is as good as this counts, however good that to the edges is."""
 _TRUSTED_RMS_PX = 0.5
 """A figure that fits worse does not explain what rises at its place."""
 _SEAM_PX = 1.5
@@ -68,18 +66,18 @@ def verify_tops(
     sure = [top.fit.face for top in tops if top.fit.rms_px < CERTAIN_RMS_PX]
     pictures = Pictures.of(left.grey, right.grey)
     pictures = replace(pictures, blur_px=measure_blur(sure, pictures, rig, table_z_mm))
-    faces = [top.fit.face for top in tops]
-    fits = fit_profiles(faces, [face.slope_u != 0.0 for face in faces], pictures, rig, table_z_mm)
-
-    known = [
-        replace(top, fit=_surer(top.fit, fit))
-        for top, fit in zip(tops, fits, strict=True)
-        if fit is not None and is_top(fit, table_z_mm, limits)
+    bench = Bench(pictures, fields, rig, table_z_mm, limits.min_gradient, lambda fit: is_top(fit, table_z_mm, limits))
+    seen = [
+        (top, both)
+        for top, both in zip(tops, bench.by_profiles([top.fit for top in tops]), strict=True)
+        if both is not None
     ]
+    settled = bench.settled([both for _, both in seen])
+    known = [replace(top, fit=both.agreed()) for (top, _), both in zip(seen, settled, strict=True)]
     for _ in range(_ROUNDS):
         trusted = [top for top in known if top.fit.rms_px <= _TRUSTED_RMS_PX]
         outlines = rising_outlines(relief, explained_polygons(trusted, rig, table_z_mm))
-        more = _rising_tops(outlines, known, left, pictures, fields, rig, table_z_mm, limits)
+        more = _rising_tops(outlines, known, left, bench, limits)
         if not more:
             break
         known += more
@@ -93,30 +91,20 @@ def verify_tops(
 
 
 def _rising_tops(
-    outlines: list[Array],
-    known: list[Top],
-    left: PlaneImage,
-    pictures: Pictures,
-    fields: tuple[EdgeField, EdgeField],
-    rig: RectifiedRig,
-    table_z_mm: float,
-    limits: RecognitionParameters,
+    outlines: list[Array], known: list[Top], left: PlaneImage, bench: Bench, limits: RecognitionParameters
 ) -> list[Top]:
     """Return the faces behind outlines of what rises that no known top at their place fits better."""
     heights_mm = (limits.min_height_mm, limits.max_height_mm)
-    rising = fit_rising(
-        outlines, left, pictures, rig, heights_mm, table_z_mm, lambda fit: is_top(fit, table_z_mm, limits)
-    )
-    starts = [fit.face for fit in rising]
-    by_edges = fit_faces(starts, [face.slope_u != 0.0 for face in starts], fields, rig, SETTLE, limits.min_gradient)
+    rising = fit_rising(outlines, left, bench.pictures, bench.rig, heights_mm, bench.table_z_mm, bench.possible)
+    by_edges = bench.by_edges([fit.face for fit in rising])
     # part of a face may explain the grey values along itself, but it has no edges of its own
     found = [
-        _surer(edges, fit)
+        Witnesses(edges, fit)
         for fit, edges in zip(rising, by_edges, strict=True)
         if edges is not None and edges.rms_px <= limits.max_rms_px
     ]
     more: list[Top] = []
-    for fit in sorted(found, key=lambda fit: fit.rms_px):
+    for fit in sorted((both.agreed() for both in bench.settled(found)), key=lambda fit: fit.rms_px):
         if not any(share_place(fit, top.fit) and top.fit.rms_px <= fit.rms_px for top in (*known, *more)):
             more.append(Top(fit, ()))
     return more
@@ -126,22 +114,3 @@ def _outline_px(face: Face, rig: RectifiedRig) -> float:
     """Return the length of a face's outline in the left image."""
     x, y, _ = rig.project_px(face.corners_mm())
     return float(cv2.arcLength(np.column_stack([x, y]).astype(np.float32), closed=True))
-
-
-def _surer(by_edges: FaceFit, by_profiles: FaceFit) -> FaceFit:
-    """Return the better of two fits of one face: that to the grey values where it is good.
-
-    They use the picture differently: where they disagree, neither is surer than that.
-    """
-    chosen = by_profiles if by_profiles.rms_px <= max(_GOOD_RMS_PX, by_edges.rms_px) else by_edges
-    apart_mm = _centre(by_edges.face) - _centre(by_profiles.face)
-    surer = min((by_edges, by_profiles), key=lambda fit: float(np.trace(fit.covariance_mm2)))
-    return replace(
-        chosen,
-        rms_px=min(by_profiles.rms_px, by_edges.rms_px),
-        covariance_mm2=surer.covariance_mm2 + np.outer(apart_mm, apart_mm),
-    )
-
-
-def _centre(face: Face) -> Array:
-    return np.array([face.x_mm, face.y_mm, face.z_mm])

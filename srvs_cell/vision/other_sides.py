@@ -1,0 +1,92 @@
+"""Step 11d, beyond the paper: rectangles one of whose sides is on a neighbouring line.
+
+The foot of a side face, the edge of a shadow and a frame of print run parallel to the sides of a top face, a few
+pixels beside them. A rectangle that was fitted to such a line has another height or size than the face. Here the
+lines beside each side are found; each makes another rectangle, to be fitted and judged like the first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srvs_cell.vision.faces import Face, Figure
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srvs_cell.geometry import Array
+    from srvs_cell.vision.face_fit import EdgeField
+    from srvs_cell.vision.rectification import RectifiedRig
+
+_OFFSETS_PX = np.arange(-20.0, 20.5, 0.5)
+_LEAST_PX = 1.5
+"""A line nearer to a side than this is the side."""
+_ALONG = np.linspace(-0.7, 0.7, 32)
+"""Where on a side, -1 to 1, the picture is read: near its ends the neighbouring side's line is met."""
+_LINES_OF_SIDE = 3
+_LEAST_LEFT = 0.3
+"""No side moves so far inwards that less of the rectangle is left."""
+_SIDES = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
+"""Axis (0 along the length, 1 across it) and which end of it."""
+
+
+def other_rectangles(face: Face, field: EdgeField, rig: RectifiedRig, min_gradient: float) -> list[Face]:
+    """Return what a rectangle may be instead: each differs from it in one side, which lies on a line beside it.
+
+    Args:
+        face: other figures than rectangles have no alternative.
+        field: gradient of the rectified left image.
+        rig: the rectified cameras.
+        min_gradient: least gradient of a line, grey values per pixel.
+    """
+    if face.figure is not Figure.RECTANGLE:
+        return []
+    offsets_mm = _OFFSETS_PX * float(rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
+    found = []
+    for axis, end in _SIDES:
+        size_mm = (face.length_mm, face.width_mm)[axis]
+        unit = np.empty((_OFFSETS_PX.size, _ALONG.size, 2))
+        unit[..., axis] = end * (1.0 + 2.0 * offsets_mm[:, None] / size_mm)
+        unit[..., 1 - axis] = _ALONG
+        shifts_mm = offsets_mm[_lines(face.place(unit.reshape(-1, 2)), field, rig, min_gradient)]
+        found += [
+            _moved(face, axis, end, float(shift)) for shift in shifts_mm if size_mm + shift > _LEAST_LEFT * size_mm
+        ]
+    return found
+
+
+def _lines(points_mm: Array, field: EdgeField, rig: RectifiedRig, min_gradient: float) -> NDArray[np.intp]:
+    """Return the numbers of the offsets at which the strongest lines run, shape (N,).
+
+    Args:
+        points_mm: points beside a side, by offset and place along it, base frame, shape (offsets x places, 3).
+        field: gradient of the left image.
+        rig: the rectified cameras.
+        min_gradient: least gradient of a line.
+    """
+    x, y, _ = rig.project_px(points_mm)
+    pixels = np.stack([x, y], axis=-1)
+    along = pixels[_ALONG.size - 1] - pixels[0]
+    across = np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    slopes = field.along_normals(pixels[None], np.broadcast_to(across, (1, *pixels.shape)), np.zeros(1))
+    # what does not run along most of the side, like print, has no say in the median
+    line = np.abs(np.median(slopes.reshape(_OFFSETS_PX.size, _ALONG.size), axis=1))
+    peak = np.zeros(line.shape, dtype=np.bool_)
+    peak[1:-1] = (line[1:-1] >= line[:-2]) & (line[1:-1] > line[2:])
+    there = np.flatnonzero(peak & (line >= min_gradient) & (np.abs(_OFFSETS_PX) >= _LEAST_PX))
+    return there[np.argsort(-line[there])[:_LINES_OF_SIDE]]
+
+
+def _moved(face: Face, axis: int, end: float, shift_mm: float) -> Face:
+    """Return a rectangle with one side moved outwards in its plane."""
+    size_mm = (face.length_mm, face.width_mm)[axis]
+    centre = np.zeros((1, 2))
+    centre[0, axis] = end * shift_mm / size_mm
+    x_mm, y_mm, z_mm = (float(value) for value in face.place(centre)[0])
+    moved = replace(face, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
+    if axis == 0:
+        return replace(moved, length_mm=size_mm + shift_mm)
+    return replace(moved, width_mm=size_mm + shift_mm)

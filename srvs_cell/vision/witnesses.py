@@ -1,0 +1,136 @@
+"""Step 11d, beyond the paper: a face fitted to the edges and to the grey values, and what the two make of it.
+
+Both see the same borders in different ways: edges are exact where they are clear, the grey values tell faint borders
+and slivers of side faces. Together they judge which of several figures a face is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srvs_cell.vision.face_fit import SETTLE, fit_faces
+from srvs_cell.vision.other_sides import other_rectangles
+from srvs_cell.vision.profile_fit import fit_profiles
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from srvs_cell.geometry import Array
+    from srvs_cell.vision.face_fit import EdgeField, FaceFit
+    from srvs_cell.vision.faces import Face
+    from srvs_cell.vision.profiles import Pictures
+    from srvs_cell.vision.rectification import RectifiedRig
+
+_GOOD_RMS_PX = 0.65
+"""A fit to the grey values that is as good as this counts, however good that to the edges is.
+
+It reads more of the picture, so that its misfit is larger where the place is right.
+"""
+_WITNESS_RMS_PX = 0.25
+"""Edges that fit so well count half against the grey values."""
+_DOUBTFUL_PX2 = 0.08
+"""A rectangle whose misfit is less is not asked what else it may be."""
+_CLEAR_GAIN = 0.7
+"""Another rectangle must have less than this share of the misfit."""
+_ROUNDS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Witnesses:
+    """One face as both fits see it.
+
+    Attributes:
+        by_edges: fitted to the edges.
+        by_profiles: fitted to the grey values across the outline.
+    """
+
+    by_edges: FaceFit
+    by_profiles: FaceFit
+
+    @property
+    def misfit_px2(self) -> float:
+        """How badly the figure suits both, to compare figures at one place."""
+        return self.by_edges.rms_px**2 + self.by_profiles.rms_px**2
+
+    def agreed(self) -> FaceFit:
+        """Return the better of both fits: that to the grey values where it is good.
+
+        Where they disagree, neither is surer than that. Edges that do not fit well are a weaker witness against the
+        grey values.
+        """
+        edges, profiles = self.by_edges, self.by_profiles
+        grey_values = profiles.rms_px <= max(_GOOD_RMS_PX, edges.rms_px)
+        weight = 1.0 / (1.0 + (edges.rms_px / _WITNESS_RMS_PX) ** 2) if grey_values else 1.0
+        apart_mm = _centre(edges.face) - _centre(profiles.face)
+        surer = min((edges, profiles), key=lambda fit: float(np.trace(fit.covariance_mm2)))
+        return replace(
+            profiles if grey_values else edges,
+            rms_px=min(profiles.rms_px, edges.rms_px),
+            covariance_mm2=surer.covariance_mm2 + weight * np.outer(apart_mm, apart_mm),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What a face is fitted to.
+
+    Attributes:
+        pictures: the rectified images.
+        fields: their gradients.
+        rig: the rectified cameras.
+        table_z_mm: height of the table, base frame.
+        min_gradient: least gradient of an edge, grey values per pixel.
+        possible: whether a fit may be a part's top face.
+    """
+
+    pictures: Pictures
+    fields: tuple[EdgeField, EdgeField]
+    rig: RectifiedRig
+    table_z_mm: float
+    min_gradient: float
+    possible: Callable[[FaceFit], bool]
+
+    def by_profiles(self, fits: Sequence[FaceFit]) -> list[Witnesses | None]:
+        """Fit faces that were fitted to the edges to the grey values; None where there is no possible fit."""
+        faces = [fit.face for fit in fits]
+        inclined = [face.slope_u != 0.0 for face in faces]
+        seen = fit_profiles(faces, inclined, self.pictures, self.rig, self.table_z_mm)
+        return [
+            Witnesses(edges, profiles) if profiles is not None and self.possible(profiles) else None
+            for edges, profiles in zip(fits, seen, strict=True)
+        ]
+
+    def by_edges(self, faces: Sequence[Face]) -> list[FaceFit | None]:
+        """Fit faces to the edges; None where they have none."""
+        inclined = [face.slope_u != 0.0 for face in faces]
+        return fit_faces(faces, inclined, self.fields, self.rig, SETTLE, self.min_gradient)
+
+    def settled(self, known: Sequence[Witnesses]) -> list[Witnesses]:
+        """Return faces as they are, or as another rectangle that suits the pictures clearly better."""
+        best = list(known)
+        open_ = [number for number, one in enumerate(best) if one.misfit_px2 > _DOUBTFUL_PX2]
+        for _ in range(_ROUNDS):
+            others = [
+                (number, face)
+                for number in open_
+                for face in other_rectangles(best[number].agreed().face, self.fields[0], self.rig, self.min_gradient)
+            ]
+            fitted = self.by_edges([face for _, face in others])
+            there = [(number, fit) for (number, _), fit in zip(others, fitted, strict=True) if fit is not None]
+            improved = set()
+            for (number, _), other in zip(there, self.by_profiles([fit for _, fit in there]), strict=True):
+                if other is None:
+                    continue
+                needed = best[number].misfit_px2 * (1.0 if number in improved else _CLEAR_GAIN)
+                if other.misfit_px2 < needed:
+                    best[number] = other
+                    improved.add(number)
+            open_ = [number for number in improved if best[number].misfit_px2 > _DOUBTFUL_PX2]
+        return best
+
+
+def _centre(face: Face) -> Array:
+    return np.array([face.x_mm, face.y_mm, face.z_mm])

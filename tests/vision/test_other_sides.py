@@ -1,0 +1,134 @@
+"""Rectangles whose outline took a neighbouring line for a side."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+
+from srvs_cell.vision.face_fit import MEASURE, EdgeField, FaceFit, fit_faces
+from srvs_cell.vision.other_sides import other_rectangles
+from srvs_cell.vision.profiles import Pictures
+from srvs_cell.vision.witnesses import Bench, Witnesses
+from tests.vision.painted import TABLE_Z_MM, Part, cuboid, cylinder, paint, rig, wedge
+
+if TYPE_CHECKING:
+    from srvs_cell.vision.faces import Face
+
+MIN_GRADIENT = 1.0
+RIG = rig()
+
+
+def fields_of(parts: list[Part]) -> tuple[EdgeField, EdgeField]:
+    left, right = paint(parts, RIG)
+    return EdgeField.of(left), EdgeField.of(right)
+
+
+def bench_of(parts: list[Part], *, printed: Face | None = None) -> Bench:
+    images = paint(parts, RIG)
+    if printed is not None:
+        for side, image in enumerate(images):
+            x, y, disparity = RIG.project_px(printed.corners_mm())
+            corners = np.rint(np.column_stack([x - side * disparity, y]) * 16.0).astype(np.int32)
+            cv2.polylines(image, [corners], isClosed=True, color=40, thickness=2, lineType=cv2.LINE_AA, shift=4)
+    fields = (EdgeField.of(images[0]), EdgeField.of(images[1]))
+    return Bench(Pictures.of(*images), fields, RIG, TABLE_Z_MM, MIN_GRADIENT, lambda _: True)
+
+
+def seen_as(face: Face, bench: Bench) -> Witnesses:
+    (edges,) = fit_faces([face], [face.slope_u != 0.0], bench.fields, RIG, MEASURE, MIN_GRADIENT)
+    assert edges is not None
+    (both,) = bench.by_profiles([edges])
+    assert both is not None
+    return both
+
+
+# at the picture's border, where a side face is seen as a band of several pixels, and dark like its shadow
+BOX = replace(cuboid(560.0, 150.0, 40.0, 20.0, (60.0, 44.0), 150), side_grey=60)
+
+
+@pytest.mark.parametrize(("axis", "end"), [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)])
+def test_a_side_that_was_moved_comes_back(axis: int, end: float) -> None:
+    true = BOX.face
+    size_mm = (true.length_mm, true.width_mm)[axis]
+    shift_mm = 6.0
+    unit = np.zeros((1, 2))
+    unit[0, axis] = -end * shift_mm / size_mm
+    x_mm, y_mm, _ = true.place(unit)[0]
+    wrong = replace(true, x_mm=float(x_mm), y_mm=float(y_mm))
+    shorter = size_mm - shift_mm
+    wrong = replace(wrong, length_mm=shorter) if axis == 0 else replace(wrong, width_mm=shorter)
+    others = other_rectangles(wrong, fields_of([BOX])[0], RIG, MIN_GRADIENT)
+    distances = [abs(other.length_mm - true.length_mm) + abs(other.width_mm - true.width_mm) for other in others]
+    best = others[int(np.argmin(distances))]
+    # half a pixel is a quarter of a millimetre here
+    assert min(distances) < 0.6
+    assert (best.x_mm, best.y_mm) == pytest.approx((true.x_mm, true.y_mm), abs=0.6)
+
+
+def test_an_inclined_face_stays_in_its_plane() -> None:
+    part = wedge(500.0, 60.0, 10.0, 40.0, 30.0, (60.0, 40.0), 190)
+    wrong = replace(part.face, length_mm=50.0)
+    for other in other_rectangles(wrong, fields_of([part])[0], RIG, MIN_GRADIENT):
+        ahead = np.array([other.x_mm - wrong.x_mm, other.y_mm - wrong.y_mm])
+        along = ahead @ np.array([np.cos(wrong.angle_rad), np.sin(wrong.angle_rad)])
+        assert other.z_mm - wrong.z_mm == pytest.approx(wrong.slope_u * along, abs=1e-6)
+
+
+def test_circles_have_no_other_sides() -> None:
+    part = cylinder(500.0, 50.0, 40.0, 50.0, 200)
+    assert other_rectangles(part.face, fields_of([part])[0], RIG, MIN_GRADIENT) == []
+
+
+def test_a_top_that_took_the_foot_of_its_side_face_for_a_side_is_mended() -> None:
+    bench = bench_of([BOX])
+    true = BOX.face
+    # the outline of top and visible side face together, which a faint inner edge leads to
+    wrong = replace(true, length_mm=true.length_mm + 7.0, x_mm=true.x_mm + 3.3, y_mm=true.y_mm + 1.2)
+    mistaken = replace(seen_as(true, bench), by_edges=FaceFit(wrong, np.eye(3), 0.5, 0.8))
+    mistaken = replace(mistaken, by_profiles=FaceFit(wrong, np.eye(3), 0.6, 0.8))
+    (settled,) = bench.settled([mistaken])
+    face = settled.agreed().face
+    assert (face.length_mm, face.width_mm) == pytest.approx((true.length_mm, true.width_mm), abs=0.3)
+    assert (face.x_mm, face.y_mm) == pytest.approx((true.x_mm, true.y_mm), abs=0.3)
+    assert face.z_mm == pytest.approx(true.z_mm, abs=1.5)
+
+
+def test_a_label_taken_for_the_border_gives_way_to_the_border() -> None:
+    true = BOX.face
+    label = replace(true, length_mm=44.0, width_mm=30.0)
+    bench = bench_of([BOX], printed=label)
+    # three sides are the part's, the fourth is the label's and shorter than it should be
+    half = np.array([[-4.0 / 30.0, 0.0]])
+    x_mm, y_mm, _ = (float(value) for value in true.place(half)[0])
+    cut = seen_as(replace(true, x_mm=x_mm, y_mm=y_mm, length_mm=52.0), bench)
+    assert cut.agreed().face.length_mm < 55.0
+    (settled,) = bench.settled([cut])
+    assert settled.agreed().face.length_mm == pytest.approx(true.length_mm, abs=0.5)
+
+
+def test_a_good_fit_is_not_asked_again() -> None:
+    bench = bench_of([BOX])
+    good = seen_as(BOX.face, bench)
+    assert bench.settled([good]) == [good]
+
+
+def test_fits_that_disagree_are_no_surer_than_that() -> None:
+    face = BOX.face
+    moved = replace(face, z_mm=face.z_mm + 3.0)
+    sharp = Witnesses(FaceFit(face, 0.01 * np.eye(3), 0.1, 1.0), FaceFit(moved, 0.01 * np.eye(3), 0.2, 1.0)).agreed()
+    assert sharp.face == moved
+    assert 2.0 < sharp.covariance_mm2[2, 2] ** 0.5 < 3.1
+    weak = Witnesses(FaceFit(face, 0.01 * np.eye(3), 1.0, 0.6), FaceFit(moved, 0.01 * np.eye(3), 0.2, 1.0)).agreed()
+    assert weak.covariance_mm2[2, 2] < 0.2 * sharp.covariance_mm2[2, 2]
+
+
+def test_grey_values_that_fit_badly_leave_it_to_the_edges() -> None:
+    face = BOX.face
+    lost = replace(face, z_mm=face.z_mm + 9.0)
+    agreed = Witnesses(FaceFit(face, np.eye(3), 0.5, 1.0), FaceFit(lost, np.eye(3), 0.9, 1.0)).agreed()
+    assert agreed.face == face
+    assert agreed.covariance_mm2[2, 2] >= 81.0
