@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from drivers.fanuc.outcome import alarm_outcome, apart
+from drivers.fanuc.readiness import not_remote
 from drivers.fanuc.registers import FIRST_FAULT_IN_MOTION, FaultCode, Snapshot, State, UopOutput
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
@@ -14,7 +15,6 @@ from srvs_cell.ports import (
     MotionStoppedError,
     NotReadyError,
     OutcomeUnknownError,
-    RobotMode,
 )
 
 if TYPE_CHECKING:
@@ -48,13 +48,9 @@ def refusal(snapshot: Snapshot) -> NotReadyError | None:
     fault = fault_text(snapshot)
     if fault is not None:
         return NotReadyError(Alarm.ROBOT_FAULT, f"The controller is in fault: {fault}.")
-    if snapshot.mode != RobotMode.AUTO or UopOutput.TPENBL in snapshot.uop:
-        pendant = "enabled" if UopOutput.TPENBL in snapshot.uop else "disabled"
-        return NotReadyError(Alarm.MODE_NOT_AUTO, f"Mode {snapshot.mode.value}, pendant {pendant}.")
-    if UopOutput.SYSRDY not in snapshot.uop:
-        return NotReadyError(Alarm.ROBOT_NOT_READY, "Servo power is off (SYSRDY): E-stop or fence.")
-    if UopOutput.CMDENBL not in snapshot.uop:
-        return NotReadyError(Alarm.ROBOT_NOT_READY, "Remote conditions are not met (CMDENBL is off).")
+    not_ready = not_remote(snapshot.mode, snapshot.uop)
+    if not_ready is not None:
+        return not_ready
     if snapshot.busy:
         return NotReadyError(
             Alarm.ROBOT_BUSY,

@@ -20,6 +20,8 @@ _COLLISION: Final = ("SRVO-050",)
 _STANDING_MM: Final = 0.5
 """An arm nearer than this to where it started has not moved: above the repeatability of reported poses."""
 
+_STILL_MM, _STILL_DEG = 0.02, 0.02
+
 
 def alarm_outcome(alarm: str, detail: str, start: Xyzwpr, stands: Xyzwpr) -> PortError:
     """Return what an alarm makes of the move under way.
@@ -41,6 +43,12 @@ def alarm_outcome(alarm: str, detail: str, start: Xyzwpr, stands: Xyzwpr) -> Por
 def moved(start: Xyzwpr, stands: Xyzwpr) -> bool:
     """Say whether an arm has left its start."""
     return apart(start, stands)[0] > _STANDING_MM
+
+
+def still(earlier: Xyzwpr, later: Xyzwpr) -> bool:
+    """Say whether two readings are of a standing arm."""
+    distance_mm, angle_deg = apart(earlier, later)
+    return distance_mm < _STILL_MM and angle_deg < _STILL_DEG
 
 
 def apart(a: Xyzwpr, b: Xyzwpr) -> tuple[float, float]:

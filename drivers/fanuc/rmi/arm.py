@@ -11,6 +11,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from drivers.fanuc.judgement import MotionBudget, arrival_error
+from drivers.fanuc.outcome import still
 from drivers.fanuc.rmi import judgement, messages
 from drivers.fanuc.rmi.errors import NOT_RUNNING, NOTHING_RUNNING, UNKNOWN_COMMAND
 from drivers.fanuc.rmi.messages import Path
@@ -352,7 +353,7 @@ class FanucRmiArm:
         while True:
             await self._clock.sleep(self._config.poll_s)
             pose = (await self._read_place()).pose
-            if judgement.still(last, pose):
+            if still(last, pose):
                 return pose
             if self._clock.now_s() > deadline_s:
                 raise OutcomeUnknownError(

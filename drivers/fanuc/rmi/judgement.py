@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from drivers.fanuc.outcome import alarm_outcome, apart, moved
+from drivers.fanuc.outcome import alarm_outcome, moved
 from drivers.fanuc.rmi.errors import describe, meaning
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 _FRAMES: Final = ("INTP-252", "INTP-253")
 """User frame and tool frame number mismatch."""
-
-_STILL_MM, _STILL_DEG = 0.02, 0.02
 
 
 def mode(status: Status) -> RobotMode:
@@ -89,9 +87,3 @@ def alarm_error(alarm: str | None, target: Xyzwpr, start: Xyzwpr, stands: Xyzwpr
     if alarm.startswith(_FRAMES) and not moved(start, stands):
         return CommandRejectedError(Alarm.FRAME_CHANGED, detail)
     return alarm_outcome(alarm, detail, start, stands)
-
-
-def still(earlier: Xyzwpr, later: Xyzwpr) -> bool:
-    """Say whether two readings are of a standing arm."""
-    distance_mm, angle_deg = apart(earlier, later)
-    return distance_mm < _STILL_MM and angle_deg < _STILL_DEG

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from drivers.sim.clock_client import SimClock
 from drivers.sim.clock_page import ClockPage
 from drivers.sim.gripper_geometry import GripperGeometry
 from drivers.sim.kinematics import Kinematics
-from drivers.sim.modbus_controller import ModbusController
 from drivers.sim.scenario import ScenarioParameters, make_scenario
 from drivers.sim.simulation import OBSERVE_POSE, TABLE_CENTRE_MM
 from drivers.sim.world import World
@@ -78,16 +77,19 @@ def simulated_camera(folder: Path) -> Iterator[tuple[Camera, SimClock, CameraStr
         time.close()
 
 
-class _Controller(Protocol):
-    def start(self) -> int: ...
+_Address_co = TypeVar("_Address_co", covariant=True)
+
+
+class _Controller(Protocol[_Address_co]):
+    def start(self) -> _Address_co: ...
     def close(self) -> None: ...
 
 
 @contextlib.contextmanager
 def simulated_arm(
-    folder: Path, make_controller: Callable[[SimArm, SimTime], _Controller] = ModbusController
-) -> Iterator[tuple[int, SimClock, SimArm]]:
-    """The physical arm behind the controller double; yields its port."""
+    folder: Path, make_controller: Callable[[SimArm, SimTime], _Controller[_Address_co]]
+) -> Iterator[tuple[_Address_co, SimClock, SimArm]]:
+    """The physical arm behind the controller double; yields where it serves."""
     page = ClockPage.create(folder / "clock")
     gripper = GripperGeometry()
     home = Transform.from_xyzwpr("base", "tcp", OBSERVE_POSE).matrix

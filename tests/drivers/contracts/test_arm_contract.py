@@ -12,6 +12,9 @@ import pytest
 from drivers.fanuc.modbus import FanucModbusArm, FanucModbusConfig
 from drivers.fanuc.rmi import FanucRmiArm, FanucRmiConfig
 from drivers.sim.doubles import FakeArm, StepClock, World
+from drivers.sim.karel_controller import KarelController
+from drivers.sim.karel_server import PtyCarrier
+from drivers.sim.modbus_controller import ModbusController
 from drivers.sim.rmi_controller import RmiController
 from srvs_cell.geometry import Transform, Xyzwpr, pose_difference
 from srvs_cell.ports import (
@@ -25,6 +28,7 @@ from srvs_cell.ports import (
 )
 from tests.drivers.contracts.simulated import simulated_arm
 from tests.drivers.fanuc.bench import HOME, MID_MOVE_S, PATIENT_S, SPEED_MM_S, TARGET, bench
+from tests.drivers.fanuc.karel_bench import karel_bench, make_arm
 from tests.drivers.fanuc.rmi_bench import rmi_bench
 
 
@@ -73,7 +77,7 @@ async def fanuc_to_a_point(_folder: Path) -> AsyncIterator[ArmBench]:
 
 @contextlib.asynccontextmanager
 async def fanuc_to_the_simulated_arm(folder: Path) -> AsyncIterator[ArmBench]:
-    with simulated_arm(folder) as (port, clock, simulated):
+    with simulated_arm(folder, ModbusController) as (port, clock, simulated):
         arm = FanucModbusArm(FanucModbusConfig(port=port, timeout_s=PATIENT_S), clock)
         try:
             yield ArmBench(arm, clock, lambda: simulated.pose, simulated.pose)
@@ -97,7 +101,41 @@ async def rmi_to_the_simulated_arm(folder: Path) -> AsyncIterator[ArmBench]:
             await arm.disconnect()
 
 
-_BENCHES = [fanuc_to_a_point, fanuc_to_the_simulated_arm, rmi_to_a_point, rmi_to_the_simulated_arm]
+@contextlib.asynccontextmanager
+async def karel_over_tcp_to_a_point(_folder: Path) -> AsyncIterator[ArmBench]:
+    async with karel_bench("tcp") as b:
+        yield ArmBench(b.arm, b.clock, lambda: b.point.pose)
+
+
+@contextlib.asynccontextmanager
+async def karel_over_serial_to_a_point(_folder: Path) -> AsyncIterator[ArmBench]:
+    async with karel_bench("serial") as b:
+        yield ArmBench(b.arm, b.clock, lambda: b.point.pose)
+
+
+@contextlib.asynccontextmanager
+async def karel_over_serial_to_the_simulated_arm(folder: Path) -> AsyncIterator[ArmBench]:
+    with simulated_arm(folder, lambda arm, time: KarelController(arm, time, PtyCarrier())) as (
+        device,
+        clock,
+        simulated,
+    ):
+        arm = make_arm(clock, "serial", device, timeout_s=PATIENT_S)
+        try:
+            yield ArmBench(arm, clock, lambda: simulated.pose, simulated.pose)
+        finally:
+            await arm.disconnect()
+
+
+_BENCHES = [
+    fanuc_to_a_point,
+    fanuc_to_the_simulated_arm,
+    rmi_to_a_point,
+    rmi_to_the_simulated_arm,
+    karel_over_tcp_to_a_point,
+    karel_over_serial_to_a_point,
+    karel_over_serial_to_the_simulated_arm,
+]
 
 
 @contextlib.asynccontextmanager
