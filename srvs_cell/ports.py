@@ -8,14 +8,14 @@ that could move something twice: where the outcome is not known it raises `Outco
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, runtime_checkable
 
-from srvs_cell.alarms import AlarmError
+from srvs_cell.alarms import Alarm, AlarmError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
     from contextlib import AbstractContextManager
 
     import numpy as np
@@ -248,6 +248,73 @@ class Gripper(Device, Protocol):
 
     async def close(self) -> GripState:
         """Close; return HOLDING or CLOSED_EMPTY; raises `OutcomeUnknownError` when the sensors tell neither in time."""
+        ...
+
+
+class FindingLevel(StrEnum):
+    """How a finding counts."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a diagnosis has looked at.
+
+    Attributes:
+        check: what was looked at, in a few words.
+        level: whether it is all right.
+        detail: what was found: names, values, bounds.
+        alarm: the registry's row; None where it is all right.
+        remedy: what to do in this case; empty where the alarm's own remedy says it.
+        facts: what was read, by name, for whoever compares it with something else: ``user_frame`` and ``user_tool`` of
+            an arm, ``width`` and ``height`` of a camera's pictures.
+    """
+
+    check: str
+    level: FindingLevel
+    detail: str
+    alarm: Alarm | None = None
+    remedy: str = ""
+    facts: Mapping[str, bool | float | str] = field(default_factory=dict)
+
+    @classmethod
+    def fine(cls, check: str, detail: str, **facts: bool | float | str) -> Finding:
+        """Return the finding that something is all right."""
+        return cls(check, FindingLevel.OK, detail, facts=facts)
+
+    @classmethod
+    def doubtful(cls, check: str, alarm: Alarm, detail: str, remedy: str = "") -> Finding:
+        """Return the finding that something may not be as it should."""
+        return cls(check, FindingLevel.WARNING, detail, alarm, remedy)
+
+    @classmethod
+    def failed(cls, check: str, error: AlarmError, remedy: str = "") -> Finding:
+        """Return the finding that something keeps the cell from working."""
+        return cls(check, FindingLevel.FAILED, error.detail, error.alarm, remedy)
+
+
+@runtime_checkable
+class Diagnosable(Protocol):
+    """A device that can say what keeps it from working; optional.
+
+    `diagnose` is called on a device that is disconnected, and leaves it so. It reads over a connection of its own;
+    it moves nothing, writes no output, takes no motion control, resets no fault, starts and ends no program.
+    """
+
+    async def diagnose(self) -> Sequence[Finding]:
+        """Look at everything, in the order in which it has to be put right; never raises `PortError`."""
+        ...
+
+
+@runtime_checkable
+class InputPeek(Protocol):
+    """An arm whose inputs can be read for a diagnosis while it is disconnected; optional."""
+
+    async def peek_inputs(self, numbers: Sequence[int]) -> tuple[bool, ...]:
+        """Read DI[number] of each; raises `PortError` where that cannot be without starting something."""
         ...
 
 

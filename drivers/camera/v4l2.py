@@ -14,6 +14,7 @@ switched off first where a value of theirs is given, because an automatic gain t
 
 from __future__ import annotations
 
+import asyncio
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.camera.grabber import FrameStamp, GrabbingCamera
+from drivers.camera.v4l2_diagnosis import diagnose_v4l2
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import DriverContext, DriverSpec, FrameError, NotConnectedError, PortError
 
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srvs_cell.ports import Clock
+    from srvs_cell.ports import Clock, Finding
 
 _MANUAL_EXPOSURE: Final = 1.0  # V4L2_EXPOSURE_MANUAL
 _OLDEST_S: Final = 60.0
@@ -246,10 +248,30 @@ def _fourcc_text(value: float) -> str:
     return (int(value) & 0xFFFFFFFF).to_bytes(4, "little").decode("latin-1")
 
 
-def _make(config: V4l2CameraConfig, context: DriverContext) -> GrabbingCamera:
-    return GrabbingCamera(
-        lambda: open_v4l2(config, context.clock), context.clock, config.device, (config.width, config.height)
-    )
+class V4l2Camera(GrabbingCamera):
+    """The camera that the entry point makes.
+
+    Args:
+        config: where it is and how it is set.
+        clock: the process's clock.
+        open_capture: opens the device; by default with OpenCV.
+    """
+
+    def __init__(
+        self, config: V4l2CameraConfig, clock: Clock, open_capture: Callable[[], V4l2Capture] | None = None
+    ) -> None:
+        self._config = config
+        self._open_device = open_capture or (lambda: open_v4l2(config, clock))
+        super().__init__(self._open_device, clock, config.device, (config.width, config.height))
+
+    async def diagnose(self) -> list[Finding]:
+        """Open the device, take some frames, close it; see `srvs_cell.ports.Diagnosable`."""
+        size_px = (self._config.width, self._config.height)
+        return await asyncio.to_thread(diagnose_v4l2, self._config.device, size_px, self._open_device)
+
+
+def _make(config: V4l2CameraConfig, context: DriverContext) -> V4l2Camera:
+    return V4l2Camera(config, context.clock)
 
 
 DRIVER = DriverSpec(V4l2CameraConfig, _make)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.fanuc import judgement, registers
+from drivers.fanuc.modbus_diagnosis import diagnose_modbus, peek_inputs_modbus
 from drivers.fanuc.registers import Command, Snapshot, UopOutput
 from drivers.fanuc.wire import ModbusWire
 from srvs_cell.alarms import Alarm
@@ -30,8 +31,10 @@ from srvs_cell.ports import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srvs_cell.geometry import Xyzwpr
-    from srvs_cell.ports import Clock
+    from srvs_cell.ports import Clock, Finding
 
 
 class FanucModbusConfig(BaseModel):
@@ -282,6 +285,14 @@ class FanucModbusArm:
             ) from error
         if not confirmed:
             raise OutcomeUnknownError(Alarm.PROTOCOL_ERROR, f"DO[{number}] was written {on} but reads {not on}.")
+
+    async def diagnose(self) -> list[Finding]:
+        """Say what keeps the arm from working; see `srvs_cell.ports.Diagnosable`."""
+        return await diagnose_modbus(self._config, self._clock)
+
+    async def peek_inputs(self, numbers: Sequence[int]) -> tuple[bool, ...]:
+        """Read inputs over a connection of its own; see `srvs_cell.ports.InputPeek`."""
+        return await peek_inputs_modbus(self._config, numbers)
 
     async def _move(self, command: Command, target: Xyzwpr, speed: float, covered_mm_s: float) -> Xyzwpr:
         self._require_active()

@@ -10,7 +10,9 @@ from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
     DriverContext,
     DriverSpec,
+    Finding,
     GripState,
+    InputPeek,
     Lifecycle,
     NotReadyError,
     OutcomeUnknownError,
@@ -120,6 +122,29 @@ class RobotIoGripper:
     async def close(self) -> GripState:
         """Close; return HOLDING or CLOSED_EMPTY; raises `OutcomeUnknownError` GRIP_TIMEOUT where neither comes."""
         return await self._act(self._config.open_output, self._config.close_output, _CLOSED)
+
+    async def diagnose(self) -> list[Finding]:
+        """Read the sensors once, where the arm's driver lets them be read; see `srvs_cell.ports.Diagnosable`."""
+        c, check = self._config, "sensors"
+        if not isinstance(self._io, InputPeek):
+            detail = "The arm's driver reads no inputs for a diagnosis."
+            return [Finding.doubtful(check, Alarm.GRIPPER_STATE_UNKNOWN, detail, "Look at the inputs on the pendant.")]
+        numbers = {"held": c.held_input, "open": c.open_input, "closed empty": c.closed_empty_input}
+        try:
+            values = await self._io.peek_inputs(tuple(numbers.values()))
+        except NotReadyError as error:
+            return [Finding.doubtful(check, error.alarm, error.detail, "Look at the inputs on the pendant.")]
+        except PortError as error:
+            return [Finding.failed(check, error)]
+        on = [name for name, value in zip(numbers, values, strict=True) if value]
+        read = ", ".join(f"DI[{n}] {name} {'on' if name in on else 'off'}" for name, n in numbers.items())
+        if len(on) == 1:
+            return [Finding.fine(check, read)]
+        if on:
+            contradiction = PortError(Alarm.GRIPPER_STATE_UNKNOWN, f"Several are on at once: {read}.")
+            return [Finding.failed(check, contradiction, "Check the sensors' wiring and the numbers in the config.")]
+        remedy = "Check air, the sensors' supply and the numbers in the config; fingers in mid-travel read so, too."
+        return [Finding.doubtful(check, Alarm.GRIPPER_STATE_UNKNOWN, f"None is on: {read}.", remedy)]
 
     async def _act(self, off: int, on: int, wanted: frozenset[GripState]) -> GripState:
         self._require(Lifecycle.ACTIVE)

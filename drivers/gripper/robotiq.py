@@ -20,6 +20,7 @@ from srvs_cell.ports import (
     DeviceFaultError,
     DriverContext,
     DriverSpec,
+    Finding,
     GripState,
     Lifecycle,
     NotConnectedError,
@@ -224,6 +225,37 @@ class RobotiqGripper:
     async def close(self) -> GripState:
         """Close; return HOLDING or CLOSED_EMPTY; raises as `open`."""
         return await self._act(registers.FULLY_CLOSED, _CLOSED)
+
+    async def diagnose(self) -> list[Finding]:
+        """Open the port and read once; see `srvs_cell.ports.Diagnosable`."""
+        other = RobotiqGripper(self._config, self._clock)
+        try:
+            await other.connect()
+            status = await other._read()
+        except PortError as error:
+            return [Finding.failed("connection", error)]
+        finally:
+            await other.disconnect()
+        return [Finding.fine("connection", self.description), *self._findings(status)]
+
+    def _findings(self, status: Status) -> list[Finding]:
+        row = fault_of(status.fault)
+        fault = Finding.fine("fault", describe(status.fault))
+        if row is not None and not row.passes:
+            error = DeviceFaultError(Alarm.GRIPPER_FAULT, f"Fault 0x{status.fault:02X}: {row.cause}")
+            fault = Finding.failed("fault", error, row.remedy)
+        active = Finding.fine("activation", "active")
+        if status.activation is not Activation.ACTIVE:
+            detail = f"It is not active (gSTA {status.activation.name.lower()})."
+            remedy = "The next reset activates it: the fingers open and close fully. Take out what they hold."
+            active = Finding.doubtful("activation", Alarm.GRIPPER_FAULT, detail, remedy)
+        opening_mm = self._stroke.opening_mm(status.position)
+        fingers = Finding.fine(
+            "fingers",
+            f"{self._judge(status).value}, {opening_mm:.1f} mm (gPO {status.position}, gOBJ {int(status.contact)})",
+            opening_mm=round(opening_mm, 2),
+        )
+        return [fault, active, fingers]
 
     async def _act(self, request: int, wanted: frozenset[GripState]) -> GripState:
         """Command the fingers once and wait until what is wanted has been read for ``settle_s``."""

@@ -46,6 +46,7 @@ _WITHOUT_INITIALIZE: Final = {
     "FRC_GetUFrameUTool",
     "FRC_SetUFrameUTool",
     "FRC_Abort",
+    "FRC_ReadVariable",
 }
 
 
@@ -68,7 +69,8 @@ class RmiController:
         major_version: of the interface.
         single_step, ascii_mode: states of the controller that forbid motion.
         initialize_error: an ErrorID that ``FRC_Initialize`` ends in, 0 for none.
-        has_io_port: whether it knows FRC_ReadIOPort, which the manual does not have.
+        has_io_port, has_variables: whether it knows FRC_ReadIOPort and FRC_ReadVariable, which the manual does not
+            have.
         alarm: an alarm of the interface itself, besides the arm's.
         server: the wire, with its faults.
     """
@@ -81,7 +83,7 @@ class RmiController:
         self.major_version = 9
         self.single_step = self.ascii_mode = False
         self.initialize_error = 0
-        self.has_io_port = True
+        self.has_io_port = self.has_variables = True
         self.alarm: str | None = None
         self.server = RmiServer(self, time, port, session_port)
         self._arm, self._time = arm, time
@@ -167,6 +169,8 @@ class RmiController:
         }
         if self.has_io_port:
             handlers["FRC_ReadIOPort"] = self._read_port
+        if self.has_variables:
+            handlers["FRC_ReadVariable"] = self._read_variable
         if name not in handlers:
             self._answer(name, _BAD_COMMAND)
         elif name not in _WITHOUT_INITIALIZE and not self._running:
@@ -250,6 +254,12 @@ class RmiController:
         if packet["PortType"] != "DO":
             raise ValueError(_BAD_VALUE)
         return {"PortType": "DO", "PortNumber": n, "PortValue": int(self._arm.output(n))}
+
+    def _read_variable(self, packet: dict[str, Any]) -> dict[str, Any]:
+        name = packet["VariableName"]
+        if name != "$RMI_CFG.$ASBN_ENB":
+            raise ValueError(_BAD_VALUE)
+        return {"VariableName": name, "VariableType": "Integer", "VariableValue": int(self.ascii_mode)}
 
     def _write_output(self, packet: dict[str, Any]) -> dict[str, Any]:
         if packet["PortValue"] not in {"ON", "OFF"}:

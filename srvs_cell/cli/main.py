@@ -37,6 +37,7 @@ MODULES = {
     "plan": "srvs_cell.cli.plan",
     "calibrate": "srvs_cell.cli.calibrate",
     "config": "srvs_cell.cli.config",
+    "doctor": "srvs_cell.cli.doctor",
 }
 """Command -> the module whose ``register(app)`` adds it."""
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 from drivers.fanuc.judgement import MotionBudget, arrival_error
 from drivers.fanuc.outcome import still
 from drivers.fanuc.rmi import judgement, messages
+from drivers.fanuc.rmi.diagnosis import diagnose_rmi, peek_inputs_rmi
 from drivers.fanuc.rmi.errors import NOT_RUNNING, NOTHING_RUNNING, UNKNOWN_COMMAND
 from drivers.fanuc.rmi.messages import Path
 from drivers.fanuc.rmi.session import RefusedError, RmiSession
@@ -31,11 +32,12 @@ from srvs_cell.ports import (
 
 if TYPE_CHECKING:
     from asyncio import Future
+    from collections.abc import Sequence
 
     from drivers.fanuc.rmi.config import FanucRmiConfig
     from drivers.fanuc.rmi.messages import Packet, Place, Status
     from srvs_cell.geometry import Xyzwpr
-    from srvs_cell.ports import Clock
+    from srvs_cell.ports import Clock, Finding
 
 _RESET_WITHOUT_INITIALIZE: Final = 4
 """Major version from which FRC_Reset works while RMI does not run."""
@@ -242,6 +244,14 @@ class FanucRmiArm:
             raise OutcomeUnknownError(
                 error.alarm, f"DO[{number}] may or may not have been written: {error.detail}"
             ) from error
+
+    async def diagnose(self) -> list[Finding]:
+        """Say what keeps the arm from working; see `srvs_cell.ports.Diagnosable`."""
+        return await diagnose_rmi(self._config, self._clock)
+
+    async def peek_inputs(self, numbers: Sequence[int]) -> tuple[bool, ...]:
+        """Read inputs in a session of its own; see `srvs_cell.ports.InputPeek`."""
+        return await peek_inputs_rmi(self._config, self._clock, numbers)
 
     async def _io_command(self, name: str, **fields: Any) -> Packet:
         """Send a command of the I/O; where the controller refuses it because RMI does not run, start RMI first."""
