@@ -14,10 +14,12 @@ from srvs_cell.planning.problem import AssignGoal, RankGoal
 from srvs_cell.scene import PlaceKind
 
 if TYPE_CHECKING:
+    from srvs_cell.planning.clearance import ConflictTable
     from srvs_cell.planning.problem import Problem
 
 HEIGHT_ROUNDING_MM = 1e-9
 OUTSIDE = -1
+_MOST_LOOKS = 20_000
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,36 @@ def _root(parent: list[int], vertex: int) -> int:
         parent[vertex] = parent[parent[vertex]]
         vertex = parent[vertex]
     return vertex
+
+
+def goal_is_possible(start: tuple[int, ...], table: ConflictTable, rule: GoalRule) -> bool:
+    """Tell whether any arrangement at all is a goal: every object on an allowed place, none too near to another.
+
+    Where looking for one takes too long the answer is yes: the search will find out.
+    """
+    order = sorted(range(len(start)), key=lambda item: rule.allowed[item].bit_count())
+    arrangement = list(start)
+    looks = 0
+
+    def complete(depth: int, standing: int, filled: int) -> bool:
+        nonlocal looks
+        looks += 1
+        if depth == len(order) or looks > _MOST_LOOKS:
+            return looks > _MOST_LOOKS or rule.is_reached(tuple(arrangement))
+        item = order[depth]
+        for place in range(table.place_count):
+            stays = place == start[item]
+            if not rule.allowed[item] >> place & 1 or filled >> place & 1:
+                continue
+            if (not stays and not table.standable[item][place]) or table.blocked_by[item][place] & standing:
+                continue
+            arrangement[item] = place
+            taken = filled | 1 << place & table.single
+            if complete(depth + 1, standing | table.bit(item, place), taken):
+                return True
+        return False
+
+    return complete(0, 0, 0)
 
 
 def goal_rule(problem: Problem) -> GoalRule:

@@ -105,4 +105,6 @@ class PlanningParameters:
         ArmParameters | None, Field(description="the arm; null: reach and joint limits are not checked beforehand")
     ] = None
     # A cell that waits for a proof wastes more time than the shorter travel saves: less patience than the default.
-    limits: SearchLimits = Field(default_factory=lambda: SearchLimits(max_travel_search=100_000))
+    limits: SearchLimits = Field(
+        default_factory=lambda: SearchLimits(max_moves_search=200_000, max_travel_search=100_000)
+    )

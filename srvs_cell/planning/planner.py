@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from srvs_cell.planning.clearance import conflict_table
 from srvs_cell.planning.detours import cycles_between, nested_detours, steps_of_walk
-from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.goals import goal_is_possible, goal_rule
 from srvs_cell.planning.hole_walk import shortest_walk
 from srvs_cell.planning.moves import after, fewest_moves
 from srvs_cell.planning.ordering import order_moves
@@ -62,6 +62,8 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
         free = [place for place in range(table.place_count) if place not in start]
         if free:
             return _permutation(start, target, free, table, rule, legs, limits)
+    if not goal_is_possible(start, table, rule):
+        return _infeasible(rule.lower_bound(start), bound_mm, infeasible_reasons(problem, table, rule, None))
     found = fewest_moves(start, table, rule, limits.max_moves_search)
     if found.steps is None and not found.proven:
         greedy = fewest_moves(start, table, rule, limits.max_moves_search, GREEDY_WEIGHT)
@@ -70,21 +72,25 @@ def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan
             return _unproven((), legs, found.bound, bound_mm, (f"no plan found: {capped}",))
         return _unproven(greedy.steps, legs, found.bound, bound_mm, (capped,))
     if found.steps is None:
-        return RelocationPlan(
-            status=PlanStatus.INFEASIBLE,
-            moves=(),
-            travel_mm=0.0,
-            moves_proven=True,
-            travel_proven=True,
-            bound_moves=found.bound,
-            bound_travel_mm=bound_mm,
-            reasons=infeasible_reasons(problem, table, rule, found.explored),
-        )
+        return _infeasible(found.bound, bound_mm, infeasible_reasons(problem, table, rule, found.explored))
     search = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_search)
     if search.steps is None:
         short = _short_plan(start, found.steps, table, rule, legs, limits)
         return _unproven(short, legs, found.bound, search.bound_mm, (_travel_capped(limits),))
     return _solved(search.steps, legs)
+
+
+def _infeasible(bound_moves: int, bound_mm: float, reasons: tuple[str, ...]) -> RelocationPlan:
+    return RelocationPlan(
+        status=PlanStatus.INFEASIBLE,
+        moves=(),
+        travel_mm=0.0,
+        moves_proven=True,
+        travel_proven=True,
+        bound_moves=bound_moves,
+        bound_travel_mm=bound_mm,
+        reasons=reasons,
+    )
 
 
 def _travel_capped(limits: SearchLimits) -> str:

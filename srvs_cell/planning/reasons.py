@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def infeasible_reasons(
-    problem: Problem, table: ConflictTable, rule: GoalRule, explored: dict[Arrangement, int]
+    problem: Problem, table: ConflictTable, rule: GoalRule, explored: dict[Arrangement, int] | None
 ) -> tuple[str, ...]:
     """Return one line per object that stands wrongly, and per place that stays empty.
 
@@ -29,7 +29,7 @@ def infeasible_reasons(
         problem: the problem.
         table: its conflicts.
         rule: its goal.
-        explored: every arrangement that can be reached from the start.
+        explored: every arrangement that can be reached from the start; None: no arrangement at all is a goal.
     """
     start = tuple(item.start for item in problem.objects)
     lines = [
@@ -42,7 +42,9 @@ def infeasible_reasons(
         for place in problem.places
         if rule.must_fill >> place.id & 1 and place.id not in filled
     ]
-    if not lines:
+    if not lines and explored is None:
+        lines = ["there is no arrangement that keeps the order of height and in which all have room"]
+    elif not lines and explored is not None:
         lines = [
             f"{item.name}: the order of height is not kept, and none of the {len(explored)} arrangements "
             "that can be reached keeps it"
@@ -52,7 +54,7 @@ def infeasible_reasons(
 
 
 def _object_reason(
-    problem: Problem, table: ConflictTable, rule: GoalRule, explored: dict[Arrangement, int], item: int
+    problem: Problem, table: ConflictTable, rule: GoalRule, explored: dict[Arrangement, int] | None, item: int
 ) -> str:
     origin = problem.objects[item].start
     here = _place(problem, origin)
@@ -79,6 +81,8 @@ def _object_reason(
     neighbour = _goal_neighbour(problem, table, rule, item, goals)
     if neighbour is not None:
         return f"belongs on {goal_text}, where it does not fit beside {neighbour} on its own place"
+    if explored is None:
+        return f"belongs on {goal_text}; there is no arrangement in which all have room where they belong"
     if not _free_places(problem, table):
         return f"belongs on {goal_text}, but every place is taken and there is no free buffer place to begin with"
     seen = {arrangement[item] for arrangement in explored}
