@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import socket
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -11,10 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from drivers.camera.grabber import FrameStamp, GrabbingCamera
 from drivers.sim.camera_wire import FRAME, GRAB, HEADER, RETRIEVE, receive
 from srvs_cell.alarms import Alarm
-from srvs_cell.ports import DriverContext, DriverSpec, FrameError, NotConnectedError
+from srvs_cell.ports import DriverContext, DriverSpec, FrameError, NotConnectedError, PortError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+_MOST_PX: Final = 8192
 
 
 class SimCameraConfig(BaseModel):
@@ -46,6 +49,10 @@ class SimCapture:
     def grab(self) -> FrameStamp | None:
         """Wait for the next frame of the stream; None where none was exposed for a second of simulated time."""
         status, sequence, stamp_s, _, _ = self._ask(GRAB)
+        if not math.isfinite(stamp_s):
+            raise PortError(
+                Alarm.PROTOCOL_ERROR, f"Simulated camera {self._name}: the time stamp {stamp_s} is no time."
+            )
         return FrameStamp(stamp_s, sequence) if status == FRAME else None
 
     def retrieve(self) -> NDArray[np.uint8]:
@@ -53,6 +60,10 @@ class SimCapture:
         status, _, _, width, height = self._ask(RETRIEVE)
         if status != FRAME:
             raise FrameError(Alarm.CAMERA_TIMEOUT, f"Simulated camera {self._name}: no frame was grabbed.")
+        if max(width, height) > _MOST_PX:
+            raise FrameError(
+                Alarm.IMAGE_INVALID, f"Simulated camera {self._name}: a picture of {width} x {height} pixels is none."
+            )
         return np.frombuffer(self._receive(width * height), dtype=np.uint8).reshape(height, width)
 
     def close(self) -> None:

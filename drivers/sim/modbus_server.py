@@ -22,10 +22,17 @@ _ILLEGAL_VALUE: Final = 3
 _DEVICE_FAILURE: Final = 4
 _EXCEPTION_FLAG: Final = 0x80
 _COIL_ON: Final = 0xFF00
+_COIL_OFF: Final = 0
 _READ_COILS, _READ_INPUTS, _READ_WORDS = 1, 2, 3
 _WRITE_COIL, _WRITE_WORD, _WRITE_COILS, _WRITE_WORDS = 5, 6, 15, 16
-_MAX_WORDS: Final = 125
-_MAX_BITS: Final = 2000
+_MOST: Final = {
+    _READ_COILS: 2000,
+    _READ_INPUTS: 2000,
+    _READ_WORDS: 125,
+    _WRITE_COILS: 1968,
+    _WRITE_WORDS: 123,
+}
+"""How many of each one request may be about."""
 _NONSENSE: Final = b"HTTP/1.1 400 Bad Request\r\n\r\n"
 
 
@@ -186,25 +193,32 @@ class ModbusServer:
         device = self._device
         if function in {_WRITE_COIL, _WRITE_WORD}:
             address, value = struct.unpack(">HH", data)
-            if function == _WRITE_COIL:
+            if function == _WRITE_WORD:
+                device.write_words(address, [value])
+            elif value in {_COIL_ON, _COIL_OFF}:
                 device.write_coils(address, [value == _COIL_ON])
             else:
-                device.write_words(address, [value])
+                raise ValueError(value)
             return data
-        if function not in {_READ_COILS, _READ_INPUTS, _READ_WORDS, _WRITE_COILS, _WRITE_WORDS}:
+        if function not in _MOST:
             raise NotImplementedError
         address, count = struct.unpack(">HH", data[:4])
-        if not 0 < count <= (_MAX_WORDS if function in {_READ_WORDS, _WRITE_WORDS} else _MAX_BITS):
+        if not 0 < count <= _MOST[function]:
             raise ValueError(count)
+        if function in {_WRITE_WORDS, _WRITE_COILS}:
+            size = 2 * count if function == _WRITE_WORDS else (count + 7) // 8
+            if len(data) != 5 + size or data[4] != size:
+                raise ValueError(len(data))
+            if function == _WRITE_WORDS:
+                device.write_words(address, list(struct.unpack(f">{count}H", data[5:])))
+            else:
+                device.write_coils(address, [bool(data[5 + i // 8] >> i % 8 & 1) for i in range(count)])
+            return data[:4]
+        if len(data) != 4:  # noqa: PLR2004 - address, count
+            raise ValueError(len(data))
         if function == _READ_WORDS:
             words = device.read_words(address, count)
             return struct.pack(f">B{count}H", 2 * count, *words)
-        if function == _WRITE_WORDS:
-            device.write_words(address, list(struct.unpack(f">{count}H", data[5:])))
-            return data[:4]
-        if function == _WRITE_COILS:
-            device.write_coils(address, [bool(data[5 + i // 8] >> i % 8 & 1) for i in range(count)])
-            return data[:4]
         bits = device.read_coils(address, count) if function == _READ_COILS else device.read_inputs(address, count)
         packed = sum(bit << i for i, bit in enumerate(bits)).to_bytes((count + 7) // 8, "little")
         return bytes([len(packed)]) + packed

@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeGuard
 
 from drivers.sim.modbus_controller import MotionRefusedError
 from drivers.sim.rmi_server import RmiServer
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from drivers.sim.modbus_controller import ControlledArm, ControllerTime
 
 _RMIT: Final = 2556928
+(_TOOL, _FRAME) = (_RMIT + n for n in (2, 3))
 (_NO_SERVO, _PENDANT, _NOT_RUNNING, _BAD_COMMAND, _FAILED, _BAD_STATE) = (_RMIT + n for n in (7, 8, 9, 13, 14, 15))
 (_CANNOT_EXECUTE, _BAD_OVERRIDE, _BAD_INSTRUCTION, _BAD_VALUE, _BAD_TEXT) = (_RMIT + n for n in (6, 5, 20, 21, 22))
 (_BAD_POSITION, _IN_HOLD, _COMMAND_OUT, _BUFFER_FULL, _SEQUENCE) = (_RMIT + n for n in (23, 24, 27, 28, 29))
@@ -34,6 +35,11 @@ _RESET_ALONE: Final = 4
 _RUNNING, _PAUSED, _ABORTED = 0, 1, 2
 _POSTURE: Final = ("Front", "Up", "Left", "Flip", "Turn4", "Turn5", "Turn6")
 _AXES: Final = "XYZWPR"
+_FRAME_KEYS: Final = ("UToolNumber", "UFrameNumber")
+_FRAMES: Final = range(10)
+_TOOLS: Final = range(1, 11)
+_FARTHEST: Final = 1e6
+_SHORT: Final = 2**15 - 1
 _MOVES: Final = {"FRC_LinearMotion", "FRC_LinearRelative", "FRC_JointMotion"}
 _INSTRUCTIONS: Final = _MOVES | {"FRC_WaitTime", "FRC_SetUFrame", "FRC_SetUTool"}
 _SPEED_TYPES: Final = {"FRC_LinearMotion": "mmSec", "FRC_LinearRelative": "mmSec", "FRC_JointMotion": "Percent"}
@@ -136,7 +142,7 @@ class RmiController:
         with self._lock:
             self._scan()
             kind, name = ("", "") if packet is None else next(iter(packet.items()))
-            if packet is None or kind not in {"Command", "Communication", "Instruction"}:
+            if packet is None or kind not in {"Command", "Communication", "Instruction"} or not isinstance(name, str):
                 self.server.send({"Command": "Unknown", "ErrorID": _BAD_TEXT})
             elif kind == "Instruction":
                 self._queue_up(name, packet)
@@ -222,7 +228,7 @@ class RmiController:
         return {"Count": 1, "ErrorData": "No Error" if alarm is None else alarm.split()[0]}
 
     def _set_override(self, packet: dict[str, Any]) -> dict[str, Any]:
-        if packet["Value"] not in range(1, 101):
+        if not _is_whole(packet["Value"]) or packet["Value"] not in range(1, 101):
             raise ValueError(_BAD_OVERRIDE)
         self._arm.override_percent = packet["Value"]
         return {"Value": packet["Value"]}
@@ -242,6 +248,10 @@ class RmiController:
     def _set_frames(self, packet: dict[str, Any]) -> dict[str, Any]:
         if self._arm.moving:
             raise ValueError(_BAD_STATE)
+        if packet["UFrameNumber"] not in _FRAMES or not _is_whole(packet["UFrameNumber"]):
+            raise ValueError(_FRAME)
+        if packet["UToolNumber"] not in _TOOLS or not _is_whole(packet["UToolNumber"]):
+            raise ValueError(_TOOL)
         self.user_frame, self.user_tool = packet["UFrameNumber"], packet["UToolNumber"]
         return self._frames(packet)
 
@@ -302,7 +312,7 @@ class RmiController:
 
     def _queue_up(self, name: str, packet: dict[str, Any]) -> None:
         sequence = packet.get("SequenceID")
-        if not isinstance(sequence, int):
+        if not _is_whole(sequence):
             self.server.send({"Instruction": "Unknown", "SequenceID": 0, "ErrorID": _BAD_TEXT})
             return
         error_id = self._refuse(name, packet, sequence)
@@ -325,18 +335,29 @@ class RmiController:
             (_BAD_INSTRUCTION, name in _INSTRUCTIONS),
         )
         refused = next((error_id for error_id, passed in checks if not passed), 0)
-        return refused or (self._refuse_move(name, packet) if name in _MOVES else 0)
+        if refused:
+            return refused
+        if name in _MOVES:
+            return self._refuse_move(name, packet)
+        key, error_id, right = {
+            "FRC_WaitTime": ("Time", _BAD_VALUE, _is_real),
+            "FRC_SetUFrame": ("FrameNumber", _FRAME, _is_whole),
+            "FRC_SetUTool": ("ToolNumber", _TOOL, _is_whole),
+        }[name]
+        return 0 if right(packet.get(key)) else error_id
 
     def _refuse_move(self, name: str, packet: dict[str, Any]) -> int:
         position, configuration = packet.get("Position"), packet.get("Configuration")
         if not isinstance(position, dict) or not isinstance(configuration, dict):
             return _BAD_TEXT
+        # One after the other: a later check may rely on an earlier one.
         checks = (
-            (_BAD_POSITION, all(isinstance(position.get(axis), int | float) for axis in _AXES)),
-            (_BAD_POSITION, all(configuration.get(key) == value for key, value in self.posture.items())),
+            (_BAD_POSITION, all(_is_real(position.get(axis)) for axis in _AXES)),
+            (_BAD_POSITION, all(_is_whole(configuration.get(key)) for key in (*_POSTURE, *_FRAME_KEYS))),
+            (_BAD_POSITION, all(configuration[key] == value for key, value in self.posture.items())),
             (_SPEED_TYPE, packet.get("SpeedType") == _SPEED_TYPES[name]),
-            (_SPEED, isinstance(packet.get("Speed"), int) and packet["Speed"] >= 1),
-            (_TERM_TYPE, packet.get("TermType") in {"FINE", "CNT"}),
+            (_SPEED, _is_whole(packet.get("Speed")) and 1 <= packet["Speed"] <= _SHORT),
+            (_TERM_TYPE, packet.get("TermType") in ("FINE", "CNT")),
         )
         return next((error_id for error_id, passed in checks if not passed), 0)
 
@@ -408,8 +429,18 @@ class RmiController:
         return self._arm.servo_on and not (self._arm.fault or "").startswith("SRVO")
 
 
+def _is_whole(value: object) -> TypeGuard[int]:
+    """Whether a value is an integer of 32 bits; JSON's true is none."""
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _LAST_SEQUENCE
+
+
+def _is_real(value: object) -> TypeGuard[float]:
+    """Whether a value is a number that a coordinate or a time can be; NaN, which JSON libraries read, is none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _FARTHEST
+
+
 def _signal(packet: dict[str, Any]) -> int:
     n = packet["PortNumber"]
-    if not isinstance(n, int) or not 1 <= n <= _SIGNALS:
+    if not _is_whole(n) or not 1 <= n <= _SIGNALS:
         raise ValueError(_PORT)
     return n

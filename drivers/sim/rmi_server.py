@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _ALREADY_CONNECTED: Final = 2556954
 _NONSENSE: Final = b"HTTP/1.1 400 Bad Request\r\n\r\n"
 _PIECE: Final = 4096
+_LONGEST_LINE: Final = 8192
+"""Longer than any packet of the manual; who sends more without an end is hung up on."""
 
 
 class RmiDevice(Protocol):
@@ -158,10 +160,11 @@ class RmiServer:
                 connection, _ = listener.accept()
             except OSError:  # the listener was closed
                 return
-            with connection, contextlib.suppress(OSError, ValueError, StopIteration):  # whoever sends no line
-                line = connection.makefile("rb").readline()
+            with connection, contextlib.suppress(OSError, ValueError, RecursionError):  # whoever sends no line
+                line = connection.makefile("rb").readline(_LONGEST_LINE)
                 packet = json.loads(line)
-                if next(iter(packet.items())) == ("Communication", "FRC_Connect") and self.fault is not RmiFault.DEAF:
+                asked = isinstance(packet, dict) and next(iter(packet.items()), None)
+                if asked == ("Communication", "FRC_Connect") and self.fault is not RmiFault.DEAF:
                     connection.sendall(json.dumps(self._reply_to_connect()).encode() + b"\r\n")
 
     def _reply_to_connect(self) -> dict[str, Any]:
@@ -208,7 +211,7 @@ class RmiServer:
     def _serve(self, connection: socket.socket) -> None:
         rest = b""
         with connection, contextlib.suppress(OSError):  # a connection that is cut ends its thread
-            while piece := connection.recv(_PIECE):
+            while (piece := connection.recv(_PIECE)) and len(rest) <= _LONGEST_LINE:
                 *lines, rest = (rest + piece).split(b"\r\n")
                 for line in lines:
                     with self._time.hold():
@@ -220,7 +223,7 @@ class RmiServer:
     def _hand_over(self, line: bytes) -> None:
         try:
             packet = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             packet = None
         if not isinstance(packet, dict) or not packet:
             packet = None

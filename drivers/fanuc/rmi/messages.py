@@ -163,7 +163,7 @@ def decode(line: bytes) -> Packet:
     if not isinstance(content, dict) or not content:
         raise _wrong(line, "is no packet")
     first, name = next(iter(content.items()))
-    if first not in set(Kind) or not isinstance(name, str):
+    if first not in set(Kind) or not isinstance(name, str) or not _readable(name):
         raise _wrong(line, "does not begin with Command, Communication or Instruction")
     error_id, sequence = content.get("ErrorID"), content.get("SequenceID")
     for value in (error_id, sequence):
@@ -200,7 +200,7 @@ def read_errors(reply: Packet) -> str | None:
     text = reply.fields.get("ErrorData")
     if not isinstance(text, str):
         raise _missing(reply, "ErrorData", "text")
-    cleaned = " ".join(text.split())[:_SHOWN]
+    cleaned = "".join(char if _readable(char) else "?" for char in " ".join(text.split())[:_SHOWN])
     return None if cleaned.casefold() in {"", "no error"} else cleaned
 
 
@@ -210,6 +210,11 @@ def whole(reply: Packet, key: str, low: int = -LAST_SEQUENCE, high: int = LAST_S
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise _missing(reply, key, f"a whole number from {low} to {high}")
     return value
+
+
+def _readable(text: str) -> bool:
+    """Return whether a page, a log and a database can hold a text; JSON may escape what they cannot."""
+    return text.isascii() and text.isprintable()
 
 
 def _real(reply: Packet, key: str) -> float:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 Value = float | bool
 _INT32: Final = 1 << 31
+_REAL_LIMIT: Final = 3.4e38
 _TIMEOUT: Final = "$WAITTMOUT"
 _DEFAULT_TIMEOUT: Final = 3000
 _TICK_S: Final = 0.01
@@ -165,12 +166,14 @@ class Memory:
             return _COMPARE[sign](first, second)
         try:
             return _stored(_COMPUTE[sign](first, second))
-        except ZeroDivisionError as error:
+        except (ZeroDivisionError, ValueError) as error:  # the latter from MOD
             raise TpAlarm("INTP-302 Divide by 0") from error
 
 
 def _stored(value: float) -> float:
     """Return a number as a register holds it: whole results as INTEGER, others as REAL of 32 bits."""
+    if not abs(value) <= _REAL_LIMIT:
+        raise TpAlarm(_OVERFLOW)
     if float(value).is_integer():
         if not -_INT32 <= value < _INT32:
             raise TpAlarm(_OVERFLOW)

@@ -19,6 +19,8 @@ _LINE: Final = re.compile(r"\s*(\d+):(.*);\s*$")
 _CONTINUES: Final = re.compile(r"\s*(=|ELSE)")
 _ATTRIBUTE: Final = re.compile(r"^\s*(?:TCD:)?\s*([A-Z_]+)\s*=\s*([^;,]*)")
 _TITLE_CHARS: Final = 16
+_LINE_CHARS: Final = 255
+_SHOWN: Final = 20
 _NEEDED: Final = ("COMMENT", "LINE_COUNT", "ABORT_REQUEST", "PAUSE_REQUEST", "DEFAULT_GROUP")
 
 
@@ -57,9 +59,9 @@ def parse(file: str, text: str) -> Program:
         raise TpError(file, 1, f"the first line is not /PROG  {name}")
     attributes = _attributes(file, head)
     statements = tuple(_statements(file, main))
-    count = int(attributes["LINE_COUNT"])
-    if count != len(main):
-        raise TpError(file, 1, f"LINE_COUNT is {count}, there are {len(main)} lines")
+    count = attributes["LINE_COUNT"]
+    if count != str(len(main)):
+        raise TpError(file, 1, f"LINE_COUNT is {count[:_SHOWN]}, there are {len(main)} lines")
     owns_arm = attributes["DEFAULT_GROUP"] == "1"
     labels = _labels(file, statements)
     for line, found in statements:
@@ -113,8 +115,10 @@ def _statements(file: str, main: list[tuple[int, str]]) -> Iterator[tuple[int, S
         match = _LINE.match(line)
         if match is None:
             raise TpError(file, number, "a line is NUMBER:TEXT ;")
-        if int(match[1]) != expected:
-            raise TpError(file, number, f"the line is numbered {match[1]}, not {expected}")
+        if len(line) > _LINE_CHARS:
+            raise TpError(file, number, f"the line is longer than {_LINE_CHARS} characters")
+        if match[1] != str(expected):
+            raise TpError(file, number, f"the line is numbered {match[1][:_SHOWN]}, not {expected}")
         if _CONTINUES.match(match[2]) and begun is not None:
             begun = (begun[0], begun[1] + " " + match[2].strip())
             continue
@@ -132,6 +136,8 @@ def _read(file: str, number: int, text: str) -> tuple[int, Statement]:
         return number, statement(text)
     except ValueError as error:
         raise TpError(file, number, str(error)) from error
+    except RecursionError as error:
+        raise TpError(file, number, "the expression is nested too deeply") from error
 
 
 def _labels(file: str, statements: tuple[tuple[int, Statement], ...]) -> dict[int, int]:
