@@ -15,6 +15,7 @@ from srvs_cell.ports import (
     MotionStoppedError,
     NotReadyError,
     OutcomeUnknownError,
+    RobotStatus,
 )
 
 if TYPE_CHECKING:
@@ -41,6 +42,24 @@ def fault_text(snapshot: Snapshot) -> str | None:
     if snapshot.uop & (UopOutput.PAUSED | UopOutput.HELD) or UopOutput.PROGRUN not in snapshot.uop:
         return "program SRVS does not run (paused, held or ended)"
     return None
+
+
+def robot_status(snapshot: Snapshot, now_s: float) -> RobotStatus:
+    """Return a reading, made at ``now_s``, in the words of the port."""
+    fault = fault_text(snapshot)
+    return RobotStatus(
+        pose=snapshot.pose,
+        mode=snapshot.mode,
+        pendant_enabled=UopOutput.TPENBL in snapshot.uop,
+        servo_on=UopOutput.SYSRDY in snapshot.uop,
+        moving=snapshot.busy and fault is None,
+        override_percent=snapshot.override_percent,
+        fault=fault,
+        user_frame=snapshot.user_frame,
+        user_tool=snapshot.user_tool,
+        session_owner=None,
+        read_at_s=now_s,
+    )
 
 
 def refusal(snapshot: Snapshot) -> NotReadyError | None:

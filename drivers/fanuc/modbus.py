@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.fanuc import judgement, registers
 from drivers.fanuc.modbus_diagnosis import diagnose_modbus, peek_inputs_modbus
-from drivers.fanuc.registers import Command, Snapshot, UopOutput
+from drivers.fanuc.registers import Command, Snapshot
 from drivers.fanuc.wire import ModbusWire
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
@@ -27,14 +27,13 @@ from srvs_cell.ports import (
     NotReadyError,
     OutcomeUnknownError,
     PortError,
-    RobotStatus,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from srvs_cell.geometry import Xyzwpr
-    from srvs_cell.ports import Clock, Finding
+    from srvs_cell.ports import Clock, Finding, RobotStatus
 
 
 class FanucModbusConfig(BaseModel):
@@ -197,21 +196,7 @@ class FanucModbusArm:
     async def status(self) -> RobotStatus:
         """Read the controller's state."""
         self._require_connected()
-        snapshot = await self._read()
-        fault = judgement.fault_text(snapshot)
-        return RobotStatus(
-            pose=snapshot.pose,
-            mode=snapshot.mode,
-            pendant_enabled=UopOutput.TPENBL in snapshot.uop,
-            servo_on=UopOutput.SYSRDY in snapshot.uop,
-            moving=snapshot.busy and fault is None,
-            override_percent=snapshot.override_percent,
-            fault=fault,
-            user_frame=snapshot.user_frame,
-            user_tool=snapshot.user_tool,
-            session_owner=None,
-            read_at_s=self._clock.now_s(),
-        )
+        return judgement.robot_status(await self._read(), self._clock.now_s())
 
     async def move_linear(self, target: Xyzwpr, speed_mm_s: float) -> Xyzwpr:
         """Move in a straight line to base_T_tcp at mm/s; errors as in `srvs_cell.ports.RobotArm`."""

@@ -11,7 +11,7 @@ from drivers.fanuc.diagnosis import Conditions, judge, not_connected
 from drivers.fanuc.registers import PROTOCOL, Snapshot, UopOutput
 from drivers.fanuc.wire import ModbusWire
 from srvs_cell.alarms import Alarm
-from srvs_cell.ports import Finding, NotReadyError, PortError, RobotStatus
+from srvs_cell.ports import Finding, NotReadyError, PortError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,7 +53,7 @@ async def diagnose_modbus(config: FanucModbusConfig, clock: Clock) -> list[Findi
         snapshot = registers.decode(words)
         findings.append(Finding.fine("register map", f"protocol {snapshot.protocol}"))
         conditions = Conditions(remote=UopOutput.CMDENBL in snapshot.uop)
-        findings += judge(_status(snapshot, clock.now_s()), conditions)
+        findings += judge(judgement.robot_status(snapshot, clock.now_s()), conditions)
         findings.append(_command(snapshot))
         findings.append(await _heartbeat(wire, snapshot, config, clock))
     except PortError as error:
@@ -101,23 +101,6 @@ def _pair_fault(low: int, high: int) -> Finding | None:
 
 def _fault(detail: str, remedy: str) -> Finding:
     return Finding.failed("register map", PortError(Alarm.PROTOCOL_VERSION, detail), remedy)
-
-
-def _status(snapshot: Snapshot, now_s: float) -> RobotStatus:
-    fault = judgement.fault_text(snapshot)
-    return RobotStatus(
-        pose=snapshot.pose,
-        mode=snapshot.mode,
-        pendant_enabled=UopOutput.TPENBL in snapshot.uop,
-        servo_on=UopOutput.SYSRDY in snapshot.uop,
-        moving=snapshot.busy and fault is None,
-        override_percent=snapshot.override_percent,
-        fault=fault,
-        user_frame=snapshot.user_frame,
-        user_tool=snapshot.user_tool,
-        session_owner=None,
-        read_at_s=now_s,
-    )
 
 
 def _command(snapshot: Snapshot) -> Finding:

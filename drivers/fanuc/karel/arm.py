@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 from drivers.fanuc.judgement import MotionBudget, arrival_error
 from drivers.fanuc.karel import judgement, messages
+from drivers.fanuc.karel.diagnosis import diagnose_karel, peek_inputs_karel
 from drivers.fanuc.karel.link import make_link
 from drivers.fanuc.karel.messages import State
 from drivers.fanuc.karel.session import LineSession, NoAnswerError
 from drivers.fanuc.outcome import still
-from drivers.fanuc.registers import UopOutput
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
     CommandRejectedError,
@@ -27,14 +27,15 @@ from srvs_cell.ports import (
     NotReadyError,
     OutcomeUnknownError,
     PortError,
-    RobotStatus,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from drivers.fanuc.karel.config import FanucKarelConfig
     from drivers.fanuc.karel.messages import Status
     from srvs_cell.geometry import Xyzwpr
-    from srvs_cell.ports import Clock
+    from srvs_cell.ports import Clock, Finding, RobotStatus
 
 
 class FanucKarelArm:
@@ -119,20 +120,7 @@ class FanucKarelArm:
     async def status(self) -> RobotStatus:
         """Read the controller's state."""
         self._require_connected()
-        status = await self._read()
-        return RobotStatus(
-            pose=status.pose,
-            mode=status.mode,
-            pendant_enabled=UopOutput.TPENBL in status.uop,
-            servo_on=UopOutput.SYSRDY in status.uop,
-            moving=status.state is State.BUSY and status.fault is None,
-            override_percent=status.override_percent,
-            fault=status.fault,
-            user_frame=status.user_frame,
-            user_tool=status.user_tool,
-            session_owner="this cell",
-            read_at_s=self._clock.now_s(),
-        )
+        return judgement.robot_status(await self._read(), self._clock.now_s())
 
     async def joints_deg(self) -> tuple[float, ...]:
         """Read J1 to J6, as the controller counts them."""
@@ -214,6 +202,14 @@ class FanucKarelArm:
             ) from error
         if not confirmed:
             raise OutcomeUnknownError(Alarm.PROTOCOL_ERROR, f"DO[{number}] was written {on} but reads {not on}.")
+
+    async def diagnose(self) -> list[Finding]:
+        """Say what keeps the arm from working; see `srvs_cell.ports.Diagnosable`."""
+        return await diagnose_karel(self._config, self._clock)
+
+    async def peek_inputs(self, numbers: Sequence[int]) -> tuple[bool, ...]:
+        """Read inputs in a conversation of its own; see `srvs_cell.ports.InputPeek`."""
+        return await peek_inputs_karel(self._config, numbers)
 
     async def _move(self, name: str, target: Xyzwpr, speed: float, covered_mm_s: float) -> Xyzwpr:
         self._require_active()

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from drivers.fanuc.karel.messages import Cause, State
 from drivers.fanuc.outcome import alarm_outcome
 from drivers.fanuc.readiness import not_remote
+from drivers.fanuc.registers import UopOutput
 from srvs_cell.alarms import Alarm
-from srvs_cell.ports import MotionStoppedError, NotReadyError, OutcomeUnknownError
+from srvs_cell.ports import MotionStoppedError, NotReadyError, OutcomeUnknownError, RobotStatus
 
 if TYPE_CHECKING:
     from drivers.fanuc.karel.messages import Status
@@ -20,6 +21,23 @@ _STOPPED_BY = {
     Cause.WATCHDOG: (Alarm.HEARTBEAT_LOST, "by the robot's watchdog, because it did not hear this PC"),
     Cause.ROBOT: (Alarm.MOTION_STOPPED, "at the robot (HOLD)"),
 }
+
+
+def robot_status(status: Status, now_s: float) -> RobotStatus:
+    """Return a reading, made at ``now_s``, in the words of the port."""
+    return RobotStatus(
+        pose=status.pose,
+        mode=status.mode,
+        pendant_enabled=UopOutput.TPENBL in status.uop,
+        servo_on=UopOutput.SYSRDY in status.uop,
+        moving=status.state is State.BUSY and status.fault is None,
+        override_percent=status.override_percent,
+        fault=status.fault,
+        user_frame=status.user_frame,
+        user_tool=status.user_tool,
+        session_owner="this cell",
+        read_at_s=now_s,
+    )
 
 
 def refusal(status: Status) -> NotReadyError | None:

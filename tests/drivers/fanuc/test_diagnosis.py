@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from drivers.fanuc import registers
 from drivers.fanuc.diagnosis import Conditions, judge
 from drivers.fanuc.modbus import DRIVER as MODBUS
 from drivers.fanuc.modbus_diagnosis import mapping_fault
@@ -29,6 +30,8 @@ from srvs_cell.ports import (
     RobotStatus,
 )
 from tests.drivers.fanuc.bench import IMPATIENT_S, bench
+from tests.drivers.fanuc.karel_bench import CARRIERS, karel_bench
+from tests.drivers.fanuc.karel_bench import make_arm as make_karel_arm
 from tests.drivers.fanuc.rmi_bench import rmi_bench
 from tests.drivers.stepped import PointArm, SteppedClock, SteppedTime
 
@@ -263,13 +266,10 @@ async def test_a_heartbeat_that_stands() -> None:
 
 async def test_a_command_that_is_not_finished() -> None:
     async with bench() as b:
-        await b.ready()
-        move = await b.begun_move()
-        b.arm._wire.close()
-        with pytest.raises(Exception, match="After the command"):
-            await move
-        await b.arm.disconnect()
-        assert wrong(await b.arm.diagnose())
+        b.controller.write_words(registers.SEQUENCE_WORD - 1, [17])  # written by a PC that is gone
+        b.controller.heartbeat_frozen = True  # and by a robot that does not take it
+        found = wrong(await b.arm.diagnose())
+        assert found["last command"] == (FAILED, Alarm.ROBOT_BUSY)
 
 
 @pytest.mark.parametrize("fault", [WireFault.HALF_PACKET, WireFault.NONSENSE, WireFault.EXCEPTION, WireFault.CUT])
@@ -383,3 +383,46 @@ async def test_inputs_that_need_a_running_program_are_not_read_over_rmi() -> Non
         with pytest.raises(NotReadyError, match="a diagnosis does not start"):
             await b.arm.peek_inputs((1, 2, 3))
         assert "FRC_Initialize" not in b.controller.server.received
+
+
+# -- the KAREL line protocol alone ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("carrier", CARRIERS)
+@pytest.mark.parametrize(("change", "check", "level"), [*ROBOTS, (_in_t1, "mode switch", FAILED)])
+async def test_over_karel(carrier: str, change: Callable[[PointArm], None], check: str, level: FindingLevel) -> None:
+    async with karel_bench(carrier) as b:
+        assert isinstance(b.arm, Diagnosable)
+        assert isinstance(b.arm, InputPeek)
+        assert wrong(await b.arm.diagnose()) == {}
+        change(b.point)
+        await b.clock.sleep(0.5)
+        assert wrong(await b.arm.diagnose())[check][0] is level
+        assert b.arm.lifecycle is Lifecycle.DISCONNECTED
+
+
+@pytest.mark.parametrize("carrier", CARRIERS)
+async def test_the_inputs_are_read_over_karel_and_the_wire_is_free_afterwards(carrier: str) -> None:
+    async with karel_bench(carrier) as b:
+        b.point.inputs[2] = True
+        assert await b.arm.peek_inputs((1, 2, 3)) == (False, True, False)
+        await b.arm.connect()
+
+
+async def test_a_karel_robot_that_is_not_there(tmp_path: Any) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    clock = SteppedClock(SteppedTime())
+    refused = await make_karel_arm(clock, "tcp", str(port), timeout_s=IMPATIENT_S).diagnose()
+    assert wrong(refused) == {"connection": (FAILED, Alarm.CONNECTION_REFUSED)}
+    assert "srvstcp" in detail_of(refused, "connection")
+    missing = await make_karel_arm(clock, "serial", str(tmp_path / "ttyS9"), timeout_s=IMPATIENT_S).diagnose()
+    assert wrong(missing)["connection"][0] is FAILED
+    assert "ttyS9" in detail_of(missing, "connection")
+
+
+async def test_a_karel_robot_that_somebody_else_talks_to() -> None:
+    async with karel_bench() as b:
+        await b.arm.connect()
+        other = make_karel_arm(b.clock, "tcp", b.address, timeout_s=IMPATIENT_S)
+        assert wrong(await other.diagnose())["connection"] == (FAILED, Alarm.SESSION_HELD)
