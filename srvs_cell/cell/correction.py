@@ -28,7 +28,9 @@ def correction_plan(former: CellPlan, seen_mm: Mapping[int, Point2]) -> CellPlan
     problem, goals = former.table.problem, former.goals
     count = len(goals)
     spots = list(seen_mm)
-    places = [Place(i, *goal.point_mm, PlaceKind.SLOT) for i, goal in enumerate(goals)]
+    places = [
+        Place(i, *goal.point_mm, PlaceKind.SLOT if goal.visible else PlaceKind.BIN) for i, goal in enumerate(goals)
+    ]
     places += [Place(count + i, *seen_mm[workpiece], PlaceKind.LOOSE) for i, workpiece in enumerate(spots)]
     starts = [count + spots.index(goal.workpiece) if goal.workpiece in seen_mm else i for i, goal in enumerate(goals)]
     task = replace(

@@ -130,6 +130,8 @@ class Verify:
         off: dict[int, Workpiece] = {}
         wrong = []
         for goal in plan.goals:
+            if not goal.visible:
+                continue
             distance_mm, workpiece = found[goal.workpiece]
             errors_mm[goal.workpiece] = None if workpiece is None else round(distance_mm, 3)
             if distance_mm > tolerance.verify_mm:

@@ -21,7 +21,7 @@ from srvs_cell.config.drivers import (
 )
 from srvs_cell.config.validation import validate
 from srvs_cell.config.yaml_text import read_yaml
-from srvs_cell.planning import PlanningParameters
+from srvs_cell.planning import PlanningParameters, make_rule
 from srvs_cell.vision.parameters import VisionParameters
 
 if TYPE_CHECKING:
@@ -158,6 +158,7 @@ def parse_config(text: str, source: str, folder: Path | None = None) -> CellConf
         raise AlarmError(Alarm.CONFIG_INVALID, f"{source}: a mapping of keys is expected, got {type(data).__name__}.")
     file = validate(_File, data, source)
     _check_buffer_places(file, source)
+    _check_goal_rule(file, source)
     devices = {role: _device(role, getattr(file.devices, role), source) for role in ROLES}
     service = file.service
     return CellConfig(
@@ -221,6 +222,16 @@ def _check_buffer_places(file: _File, source: str) -> None:
                     f"{source}: planning.buffer_places_mm.{i} = {list(place_mm)}: {name} = {value_mm} mm is outside "
                     f"cell.workspace.{name}_mm = {least_mm} to {greatest_mm} mm.",
                 )
+
+
+def _check_goal_rule(file: _File, source: str) -> None:
+    """Refuse a goal rule that cannot be made: its settings are no keys of this file's own schema."""
+    if not file.planning.names_a_rule:
+        return
+    try:
+        make_rule(file.planning.rule, file.planning.rule_settings)
+    except AlarmError as error:
+        raise AlarmError(error.alarm, f"{source}: {error.detail}") from error
 
 
 def _driver_schema(role: str, driver: str, definitions: dict[str, Any]) -> dict[str, Any]:

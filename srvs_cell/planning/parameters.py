@@ -108,3 +108,8 @@ class PlanningParameters:
     limits: SearchLimits = Field(
         default_factory=lambda: SearchLimits(max_moves_search=200_000, max_travel_search=100_000)
     )
+
+    @property
+    def names_a_rule(self) -> bool:
+        """Whether a rule has to be made; otherwise it is height_order with the tolerances of this section."""
+        return self.rule != "height_order" or bool(self.rule_settings)

@@ -43,10 +43,17 @@ class CellMove:
 
 @dataclass(frozen=True)
 class CellGoal:
-    """Where a workpiece's footprint centroid has to be in the end, moved or not."""
+    """Where a workpiece's footprint centroid has to be in the end, moved or not.
+
+    Attributes:
+        workpiece: `Workpiece.id`.
+        point_mm: x and y of the place.
+        visible: whether it can be seen there; what lies in a bin is not looked for.
+    """
 
     workpiece: int
     point_mm: Point2
+    visible: bool = True
 
 
 @dataclass(frozen=True)
@@ -100,7 +107,7 @@ def plan_relocation(
             what was perceived; PLAN_INFEASIBLE where the arm cannot go the ways of the plan; PLAN_INVALID where the
             validator refuses the planner's plan.
     """
-    if rule is None and (parameters.rule != "height_order" or parameters.rule_settings):
+    if rule is None and parameters.names_a_rule:
         rule = make_rule(parameters.rule, parameters.rule_settings)
     try:
         table = table_problem(workpieces, parameters, workspace, rule=rule, hand=hand)
@@ -165,11 +172,14 @@ def _cell_plan(table: TableProblem, answer: RelocationPlan) -> CellPlan:
     points = [(place.x_mm, place.y_mm) for place in problem.places]
     ends = {item.id: item.start for item in problem.objects}
     ends |= {move.object: move.to_place for move in answer.moves}
+    bins = {place.id for place in problem.places if place.kind is PlaceKind.BIN}
     return CellPlan(
         table=table,
         relocation=replace(answer, reasons=(*answer.reasons, *table.notes)),
         moves=cell_moves(problem, answer.moves, table.workpieces),
-        goals=tuple(CellGoal(table.workpieces[i], points[end]) for i, end in ends.items()) if planned else (),
+        goals=tuple(CellGoal(table.workpieces[i], points[end], end not in bins) for i, end in ends.items())
+        if planned
+        else (),
         buffers_mm=tuple(points[place.id] for place in problem.places if place.kind is PlaceKind.BUFFER),
     )
 

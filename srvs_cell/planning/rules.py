@@ -23,6 +23,8 @@ from srvs_cell.scene import PlaceKind, Point2
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from pydantic_core import ErrorDetails
+
     from srvs_cell.scene import Workpiece
 
 ENTRY_POINT_GROUP = "srvs_cell.goal_rules"
@@ -206,9 +208,9 @@ class ElementChange:
         reject_kinds: kinds that are rejected.
         height_mm: least and greatest height of what is not rejected.
         size_mm: least and greatest length of what is not rejected.
-        bin_mm: where the bin is.
+        bin_mm: where the bin is; what stands there was rejected before.
         stock_mm: where the stock stands; what stands there is no part of the scene that is judged.
-        stock_radius_mm: distance from a stock place at which a workpiece counts as standing there.
+        stock_radius_mm: distance from a stock place, or from the bin, at which a workpiece counts as standing there.
         substitute_kind: kind of the workpieces that may take a rejected one's place.
     """
 
@@ -231,8 +233,10 @@ class ElementChange:
         in_stock = [
             any(math.dist(each.point_mm, place) <= self.stock_radius_mm for place in self.stock_mm) for each in standing
         ]
+        in_bin = [math.dist(each.point_mm, self.bin_mm) <= self.stock_radius_mm for each in standing]
         why = [
-            "" if stocked else self._why_rejected(e.workpiece) for e, stocked in zip(standing, in_stock, strict=True)
+            "" if stocked or binned else self._why_rejected(each.workpiece)
+            for each, stocked, binned in zip(standing, in_stock, in_bin, strict=True)
         ]
         freed = frozenset(number for number, reason in enumerate(why) if reason)
         right = [
@@ -268,34 +272,40 @@ class ElementChange:
         return ""
 
 
-_BUILT_IN: Mapping[str, type[Rule]] = {
-    "height_order": HeightOrder,
-    "position_correction": PositionCorrection,
-    "element_change": ElementChange,
-}
-
-
 def make_rule(name: str, rule_settings: Mapping[str, Any]) -> Rule:
-    """Make a rule of this package or of an installed one.
+    """Make an installed rule.
 
     Args:
-        name: the rule's name.
-        rule_settings: its settings.
+        name: the rule's name, ``planning.rule`` of the config.
+        rule_settings: its settings, ``planning.rule_settings``.
 
     Raises:
-        AlarmError: CONFIG_INVALID for an unknown name or settings that the rule refuses.
+        AlarmError: CONFIG_INVALID naming the key, and its value, for an unknown name or settings that the rule refuses.
     """
-    made: Any = _BUILT_IN.get(name)
     installed = entry_points(group=ENTRY_POINT_GROUP)
+    found = next(iter(installed.select(name=name)), None)
+    if found is None:
+        known = ", ".join(sorted(installed.names))
+        raise AlarmError(
+            Alarm.CONFIG_INVALID, f"planning.rule = {name!r}: no such goal rule is installed; there are: {known}."
+        )
     try:
-        if made is None:
-            made = next(iter(installed.select(name=name))).load()
+        made: Any = found.load()
         rule = made(**rule_settings)
-    except StopIteration:
-        known = ", ".join(sorted({*_BUILT_IN, *installed.names}))
-        raise AlarmError(Alarm.CONFIG_INVALID, f"Goal rule {name!r} is not installed; there are: {known}.") from None
-    except (ValidationError, TypeError, ImportError, AttributeError) as error:
-        raise AlarmError(Alarm.CONFIG_INVALID, f"Goal rule {name!r}: {error}.") from error
+    except ValidationError as error:
+        lines = (_refused(detail) for detail in error.errors(include_url=False))
+        raise AlarmError(Alarm.CONFIG_INVALID, f"{'; '.join(lines)} (goal rule {name}).") from error
+    except TypeError as error:
+        raise AlarmError(Alarm.CONFIG_INVALID, f"planning.rule_settings: {error} (goal rule {name}).") from error
+    except (ImportError, AttributeError) as error:
+        raise AlarmError(Alarm.CONFIG_INVALID, f"planning.rule = {name!r}: cannot be loaded: {error}.") from error
     if not isinstance(rule, Rule):
-        raise AlarmError(Alarm.CONFIG_INVALID, f"Goal rule {name!r} is no goal rule but {rule!r}.")
+        raise AlarmError(Alarm.CONFIG_INVALID, f"planning.rule = {name!r}: is no goal rule but {rule!r}.")
     return rule
+
+
+def _refused(error: ErrorDetails) -> str:
+    key = ".".join(map(str, ("planning.rule_settings", *error["loc"])))
+    if error["type"] in {"unexpected_keyword_argument", "missing", "missing_keyword_only_argument"}:
+        return f"{key}: {error['msg'].lower()}"
+    return f"{key} = {error['input']!r}: {error['msg'].removeprefix('Input ')}"

@@ -127,7 +127,12 @@ class Cell:
         await self.give(Command.START)
 
 
-def build(tmp_path: Path, blocks: Sequence[Block] | None = None, parameters: CellParameters = PARAMETERS) -> Cell:
+def build(
+    tmp_path: Path,
+    blocks: Sequence[Block] | None = None,
+    parameters: CellParameters = PARAMETERS,
+    planning: PlanningParameters = PlanningParameters(),  # noqa: B008 - frozen
+) -> Cell:
     """Return a cell that is not running yet."""
     world = World(list(three_blocks() if blocks is None else blocks))
     clock = StepClock()
@@ -141,7 +146,7 @@ def build(tmp_path: Path, blocks: Sequence[Block] | None = None, parameters: Cel
         return seen(world)
 
     def plan(workpieces: Sequence[Workpiece]) -> CellPlan:
-        return plan_relocation(workpieces, PlanningParameters(), workspace, hand=parameters.hand())
+        return plan_relocation(workpieces, planning, workspace, hand=parameters.hand())
 
     equipment = Equipment(
         parameters=parameters,

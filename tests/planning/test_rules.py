@@ -1,10 +1,13 @@
 """Goal rules: order of height along any direction, position correction, element change, installed ones."""
 
 import dataclasses
+import json
 
 import pytest
 
 from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.config import parse_config
+from srvs_cell.config.embedded import embedded_config
 from srvs_cell.planning import (
     ElementChange,
     HeightOrder,
@@ -100,9 +103,18 @@ def test_the_config_names_the_rule() -> None:
 @pytest.mark.parametrize(
     ("name", "settings", "words"),
     [
-        ("by_colour", {}, "'by_colour' is not installed; there are: element_change, height_order, position_correction"),
-        ("height_order", {"direction_deg": 999.0}, "direction_deg"),
-        ("height_order", {"colour": "red"}, "colour"),
+        (
+            "by_colour",
+            {},
+            "no such goal rule is installed; there are: element_change, height_order, position_correction",
+        ),
+        (
+            "height_order",
+            {"direction_deg": 999.0},
+            "planning.rule_settings.direction_deg = 999.0: should be less than or equal to 360",
+        ),
+        ("height_order", {"colour": "red"}, "planning.rule_settings.colour: unexpected keyword argument"),
+        ("element_change", {"bin_mm": [0.0, 0.0]}, "planning.rule_settings.substitute_kind: field required"),
     ],
 )
 def test_a_wrong_rule_is_a_config_alarm(name: str, settings: dict[str, object], words: str) -> None:
@@ -110,3 +122,15 @@ def test_a_wrong_rule_is_a_config_alarm(name: str, settings: dict[str, object], 
         make_rule(name, settings)
     assert caught.value.alarm is Alarm.CONFIG_INVALID
     assert words in caught.value.detail
+    text = embedded_config().replace(
+        "planning:\n", f"planning:\n  rule: {name}\n  rule_settings: {json.dumps(settings)}\n"
+    )
+    with pytest.raises(AlarmError) as caught:
+        parse_config(text, "cell.yaml")
+    assert caught.value.detail.startswith("cell.yaml: planning.rule")
+
+
+def test_what_lies_in_the_bin_was_rejected_before() -> None:
+    rule = ElementChange(height_mm=(30.0, 100.0), bin_mm=(320.0, 0.0), substitute_kind="cuboid")
+    parts = [workpiece(0, (450, -100), 60), workpiece(1, (322, 3), 20)]
+    assert not plan_relocation(parts, PARAMETERS, WORKSPACE, rule).moves
