@@ -187,7 +187,8 @@ class Perception:
         timings_ms: milliseconds per step, in the order of the steps.
         table: what the table told of calibration and poses; None where it was not asked.
         ambiguous_planes: left planes that have no match because several partners are alike, or because the best one
-            crosses better matches; as they were before surfaces were joined.
+            crosses better matches, and that are part of no matched surface; their ids are of before surfaces were
+            joined.
     """
 
     left: PlaneImage

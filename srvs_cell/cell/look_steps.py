@@ -139,6 +139,7 @@ class Perceive:
             "verifying": self.verifying,
             "planes": [len(perception.left.planes), len(perception.right.planes)],
             "matches": len(perception.matches),
+            "ambiguous_px": [list(plane.centre_px) for plane in perception.ambiguous_planes],
             "workpieces": workpieces,
             "timings_ms": perception.timings_ms,
         }

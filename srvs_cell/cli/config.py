@@ -24,20 +24,28 @@ def register(app: typer.Typer) -> None:
 
 
 def check(config_file: _ConfigFile, as_json: _AsJson = False) -> None:
-    """Check every key, type and bound, the drivers, and the calibration file that the config names."""
+    """Check every key, type and bound, the drivers, and the calibration and object files that the config names."""
     import json  # noqa: PLC0415 - the command line starts lazily
 
     from srvs_cell.config import load_config  # noqa: PLC0415 - as above
 
     config = load_config(config_file)
+    kinds = [kind.name for kind in config.load_library().kinds]
     calibration = _calibration_state(config)
     drivers = {device.role: device.driver for device in config.devices}
     if as_json:
-        answer = {"valid": True, "simulation": config.simulation, "drivers": drivers, "calibration": calibration}
+        answer = {
+            "valid": True,
+            "simulation": config.simulation,
+            "drivers": drivers,
+            "object_kinds": kinds,
+            "calibration": calibration,
+        }
         typer.echo(json.dumps(answer))
         return
     typer.echo(f"{config_file}: valid{', SIMULATION' if config.simulation else ''}")
     typer.echo("drivers: " + ", ".join(f"{role} {driver}" for role, driver in drivers.items()))
+    typer.echo(f"object kinds: {', '.join(kinds)}")
     typer.echo(f"calibration: {calibration}")
 
 

@@ -163,6 +163,7 @@ def _conclude(
         "moves_least": plan.get("bound_moves"),
         "moves_proven": plan.get("moves_proven"),
         "matched_planes": perception.get("matches"),
+        "ambiguous_px": perception.get("ambiguous_px", []),
         "position_error_mm": verdict.error_summary("position_error_mm"),
         "grasp_offset_mm": verdict.error_summary("grasp_offset_mm"),
         "placement_error_mm": verdict.error_summary("placement_error_mm"),
@@ -251,7 +252,12 @@ def _write_report(
         imperfections=options.simulation.imperfections,
         command=options.command(),
         comparison=compare(
-            verdict, result["job_time_s"], result["matched_planes"] or 0, result["moves_done"], result["moves_least"]
+            verdict,
+            result["job_time_s"],
+            result["matched_planes"] or 0,
+            result["ambiguous_px"],
+            result["moves_done"],
+            result["moves_least"],
         ),
         figures=tuple(figures),
         before_after=tuple(before_after),

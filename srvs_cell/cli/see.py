@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Transform
     from srvs_cell.scene import Perception
     from srvs_cell.vision import StereoView, VisionParameters
+    from srvs_cell.vision.kinds import ObjectKind
     from srvs_cell.vision.lines import LinePerception
 
 _POSE_NUMBERS = 6
@@ -36,6 +37,9 @@ def perceive_command(
     left_file: Annotated[Path, typer.Argument(metavar="LEFT", help="Image at the left end of the lateral path.")],
     right_file: Annotated[Path, typer.Argument(metavar="RIGHT", help="Image at the right end.")],
     config: Annotated[Path | None, typer.Option(metavar="CELL.yaml", help="Take the vision's parameters here.")] = None,
+    library: Annotated[
+        Path | None, typer.Option(metavar="OBJECTS.yaml", help="Kinds of objects, instead of the config's.")
+    ] = None,
     calibration: Annotated[
         Path | None, typer.Option(metavar="CAL.yaml", help="Calibration file; needs both poses.")
     ] = None,
@@ -69,7 +73,7 @@ def perceive_command(
     import json  # noqa: PLC0415 - the command line starts lazily
     import time  # noqa: PLC0415 - as above
 
-    parameters, table_z_mm = _parameters(config, min_disparity, max_disparity)
+    parameters, table_z_mm, kinds = _parameters(config, library, min_disparity, max_disparity)
     poses = [_pose(text, option) for text, option in ((left_pose, "--left-pose"), (right_pose, "--right-pose"))]
     view = _view(calibration, poses, table_z if table_z is not None else table_z_mm, parameters)
     images = _read_image(left_file), _read_image(right_file)
@@ -85,7 +89,7 @@ def perceive_command(
         return
     from srvs_cell.vision import perceive, perception_to_json  # noqa: PLC0415 - as above
 
-    perception = perceive(*images, parameters, view=view, stopwatch=time.perf_counter)
+    perception = perceive(*images, parameters, view=view, kinds=kinds, stopwatch=time.perf_counter)
     if disparity is not None:
         from srvs_cell.vision import encode_pfm  # noqa: PLC0415 - as above
 
@@ -99,27 +103,32 @@ def perceive_command(
 
 
 def _parameters(
-    config: Path | None, min_disparity: float | None, max_disparity: float | None
-) -> tuple[VisionParameters, float]:
-    """Return the vision's parameters and the table's height: the config's or the defaults, with what was typed."""
+    config: Path | None, library: Path | None, min_disparity: float | None, max_disparity: float | None
+) -> tuple[VisionParameters, float, tuple[ObjectKind, ...]]:
+    """Return the vision's parameters, the table's height and the kinds of objects.
+
+    They are the config's or the defaults, with what was typed.
+    """
     from dataclasses import replace  # noqa: PLC0415 - the command line starts lazily
 
     from pydantic import ValidationError  # noqa: PLC0415 - as above
 
+    from srvs_cell.config import built_in_library, load_config, load_library  # noqa: PLC0415 - as above
     from srvs_cell.vision import VisionParameters  # noqa: PLC0415 - as above
 
-    parameters, table_z_mm = VisionParameters(), 0.0
-    if config is not None:
-        from srvs_cell.config import load_config  # noqa: PLC0415 - as above
-
-        cell = load_config(config)
-        parameters, table_z_mm = cell.vision, cell.cell.table_z_mm
+    cell = None if config is None else load_config(config)
+    parameters, table_z_mm = (VisionParameters(), 0.0) if cell is None else (cell.vision, cell.cell.table_z_mm)
+    if library is not None:
+        objects = load_library(library)
+        objects.check(parameters.recognition)
+    else:
+        objects = built_in_library() if cell is None else cell.load_library()
     low = parameters.min_disparity_px if min_disparity is None else min_disparity
     high = parameters.max_disparity_px if max_disparity is None else max_disparity
     if low >= high:
         raise typer.BadParameter(f"--min-disparity {low:g} must be less than --max-disparity {high:g}.")
     try:
-        return replace(parameters, min_disparity_px=low, max_disparity_px=high), table_z_mm
+        return replace(parameters, min_disparity_px=low, max_disparity_px=high), table_z_mm, objects.kinds
     except ValidationError as error:
         reasons = "; ".join(f"{item['loc'][-1]} {item['input']}: {item['msg']}" for item in error.errors())
         raise typer.BadParameter(f"disparity range: {reasons}.") from error
@@ -253,6 +262,11 @@ def _show(perception: Perception) -> None:
         typer.echo(
             f"{match.left:5d} {match.right:5d} {match.score:6.3f} {x:7.1f} {y:7.1f} {plane.area_px:8.0f} "
             f"{match.disparity_px:13.2f}"
+        )
+    if perception.ambiguous_planes:
+        places = ", ".join("({:.0f}, {:.0f})".format(*plane.centre_px) for plane in perception.ambiguous_planes)
+        typer.echo(
+            f"{len(perception.ambiguous_planes)} left unmatched because they are ambiguous, at x, y px: {places}"
         )
     for workpiece in perception.workpieces:
         position = ", ".join(f"{value:.1f}" for value in workpiece.position_mm)

@@ -19,6 +19,7 @@ from srvs_cell.config.loader import (
     load_config,
     parse_config,
 )
+from srvs_cell.config.object_library import ObjectLibrary, built_in_library, load_library, parse_library
 
 __all__ = [
     "CellConfig",
@@ -27,15 +28,19 @@ __all__ = [
     "DevicesConfig",
     "LookParameters",
     "MotionParameters",
+    "ObjectLibrary",
     "PoseParameters",
     "RetryParameters",
     "ServiceConfig",
     "ToleranceParameters",
     "WorkspaceBox",
+    "built_in_library",
     "config_schema",
     "config_to_mapping",
     "installed_drivers",
     "load_config",
     "load_driver",
+    "load_library",
     "parse_config",
+    "parse_library",
 ]

@@ -19,6 +19,7 @@ from srvs_cell.config.drivers import (
     installed_drivers,
     load_driver,
 )
+from srvs_cell.config.object_library import ObjectLibrary, built_in_library, load_library
 from srvs_cell.config.validation import validate
 from srvs_cell.config.yaml_text import read_yaml
 from srvs_cell.planning import PlanningParameters, make_rule
@@ -77,6 +78,9 @@ class _File(BaseModel):
     planning: PlanningParameters = Field(default_factory=PlanningParameters)
     devices: _DevicesSection
     calibration: Annotated[Path, Field(description="calibration file, relative to this file")]
+    object_library: Annotated[
+        Path | None, Field(description="kinds of objects, relative to this file; null: the built-in kinds")
+    ] = None
     service: ServiceConfig = Field(default_factory=ServiceConfig)
 
 
@@ -102,6 +106,7 @@ class CellConfig:
         cell, vision, planning: the rooms' parameters.
         devices: drivers and their settings.
         calibration: the calibration file.
+        object_library: the library of object kinds; None for the built-in ones.
         service: socket, port, state folder.
     """
 
@@ -111,6 +116,7 @@ class CellConfig:
     planning: PlanningParameters
     devices: DevicesConfig
     calibration: Path
+    object_library: Path | None
     service: ServiceConfig
 
     @property
@@ -127,6 +133,14 @@ class CellConfig:
         if not isinstance(data, dict):
             raise AlarmError(Alarm.CALIBRATION_INVALID, f"{self.calibration}: a mapping of keys is expected.")
         return Calibration.from_mapping(data, str(self.calibration))
+
+    def load_library(self) -> ObjectLibrary:
+        """Return the kinds of objects; raises `AlarmError` CONFIG_INVALID naming the file and what is wrong with it."""
+        if self.object_library is None:
+            return built_in_library()
+        library = load_library(self.object_library)
+        library.check(self.vision.recognition)
+        return library
 
 
 def load_config(path: Path | str) -> CellConfig:
@@ -168,6 +182,7 @@ def parse_config(text: str, source: str, folder: Path | None = None) -> CellConf
         planning=file.planning,
         devices=DevicesConfig(**devices),
         calibration=_resolve(file.calibration, folder),
+        object_library=None if file.object_library is None else _resolve(file.object_library, folder),
         service=service.model_copy(
             update={"socket": _resolve(service.socket, folder), "state_dir": _resolve(service.state_dir, folder)}
         ),
@@ -186,6 +201,7 @@ def config_to_mapping(config: CellConfig) -> dict[str, Any]:
             for device in config.devices
         },
         "calibration": str(config.calibration),
+        "object_library": None if config.object_library is None else str(config.object_library),
         "service": config.service.model_dump(mode="json"),
     }
 

@@ -79,7 +79,9 @@ def _keys_at(schema: Mapping[str, Any], location: Sequence[int | str]) -> list[s
         if isinstance(part, int):
             node = _resolve(schema, node.get("items", {}))
         else:
-            node = _resolve(schema, node.get("properties", {}).get(part, {}))
+            # keys of one's own choice have one schema for all their values
+            own: Mapping[str, Any] = next(iter(node.get("patternProperties", {}).values()), {})
+            node = _resolve(schema, node.get("properties", {}).get(part, own))
     return list(node.get("properties", {}))
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from srvs_cell.config import CellConfig
     from srvs_cell.geometry import Transform
     from srvs_cell.scene import Perception
+    from srvs_cell.vision.kinds import ObjectKind
 
 _JOURNAL = "journal.sqlite"
 
@@ -34,9 +35,10 @@ def make_unit(config: CellConfig, state_dir: Path) -> Unit:
         state_dir: folder of the journal and of the run folders.
 
     Raises:
-        AlarmError: CALIBRATION_INVALID.
+        AlarmError: CALIBRATION_INVALID; CONFIG_INVALID where the library of objects is wrong.
     """
     calibration = config.load_calibration()
+    library = config.load_library()
     box = config.cell.workspace
     workspace = Workspace(x_min_mm=box.x_mm[0], x_max_mm=box.x_mm[1], y_min_mm=box.y_mm[0], y_max_mm=box.y_mm[1])
     equipment = Equipment(
@@ -45,7 +47,7 @@ def make_unit(config: CellConfig, state_dir: Path) -> Unit:
         journal=Journal(state_dir / _JOURNAL),
         recorder=RunRecorder(state_dir, config.service.keep_runs),
         calibration=calibration,
-        perceive=partial(_perceive, config, calibration),
+        perceive=partial(_perceive, config, calibration, library.kinds),
         plan=partial(plan_relocation, parameters=config.planning, workspace=workspace, hand=config.cell.hand()),
         pictures=_pictures,
         analyse_left=partial(_analyse_left, config, calibration),
@@ -60,13 +62,21 @@ def _analyse_left(
     base_T_tcp_left: Transform,
     planned_base_T_tcp_right: Transform,
 ) -> LeftAnalysis:
-    view = StereoView(calibration, base_T_tcp_left, planned_base_T_tcp_right, config.cell.table_z_mm)
-    return analyse_left(left, config.vision, view)
+    return analyse_left(left, config.vision, _view(config, calibration, base_T_tcp_left, planned_base_T_tcp_right))
 
 
-def _perceive(config: CellConfig, calibration: Calibration, look: StereoLook) -> Perception:
-    view = StereoView(calibration, look.base_T_tcp_left, look.base_T_tcp_right, config.cell.table_z_mm)
-    return perceive(look.left, look.right, config.vision, view=view, early=look.early, stopwatch=time.perf_counter)
+def _perceive(
+    config: CellConfig, calibration: Calibration, kinds: tuple[ObjectKind, ...], look: StereoLook
+) -> Perception:
+    view = _view(config, calibration, look.base_T_tcp_left, look.base_T_tcp_right)
+    clock = time.perf_counter
+    return perceive(look.left, look.right, config.vision, view=view, early=look.early, kinds=kinds, stopwatch=clock)
+
+
+def _view(config: CellConfig, calibration: Calibration, left: Transform, right: Transform) -> StereoView:
+    """Return where the images were taken from; left and right: base_T_tcp."""
+    highest_mm = config.vision.recognition.max_height_mm
+    return StereoView(calibration, left, right, config.cell.table_z_mm, highest_mm)
 
 
 def _pictures(perception: Perception) -> dict[str, NDArray[np.uint8]]:

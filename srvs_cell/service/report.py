@@ -70,9 +70,14 @@ def _with_unit(value_mm: float | None) -> str:
 
 
 def compare(
-    grade: Grade, job_time_s: float | None, matched_planes: int, moves_done: int, moves_least: int | None
+    grade: Grade,
+    job_time_s: float | None,
+    matched_planes: int,
+    ambiguous_px: Sequence[Sequence[float]],
+    moves_done: int,
+    moves_least: int | None,
 ) -> tuple[Comparison, ...]:
-    """Make the table "paper / this run"."""
+    """Make the table "paper / this run"; ``ambiguous_px``: centres of the planes that were not matched for doubt."""
     error = grade.error_summary("position_error_mm")
     least = "no plan" if moves_least is None else f"{moves_done} of at least {moves_least}"
     return (
@@ -82,6 +87,7 @@ def compare(
         Comparison("mean position error", PAPER_MEAN_ERROR, _with_unit(error["mean"])),
         Comparison("maximum position error", PAPER_MAX_ERROR, _with_unit(error["max"])),
         Comparison("matched planes", "all", str(matched_planes)),
+        Comparison("planes left unmatched because they are ambiguous", "none", _places(ambiguous_px)),
         Comparison("moves", "the minimum", least),
         Comparison(
             "grasp offset from the centre, mean / max",
@@ -92,6 +98,14 @@ def compare(
             "placement error, mean / max", "not given", _mean_and_max(grade.error_summary("placement_error_mm"))
         ),
     )
+
+
+def _places(centres_px: Sequence[Sequence[float]]) -> str:
+    """Return how many and where."""
+    if not centres_px:
+        return "none"
+    places = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in centres_px)
+    return f"{len(centres_px)}, at x, y px of the left image: {places}"
 
 
 def part_rows(grade: Grade, workpieces: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, str], ...]:

@@ -62,6 +62,21 @@ class Face:
         """Height of the highest corner, base frame."""
         return float(self.corners_mm()[:, 2].max())
 
+    def normal(self) -> Array:
+        """Return the unit normal, shape (3,), base frame, upwards."""
+        cos, sin = np.cos(self.angle_rad), np.sin(self.angle_rad)
+        rise_x = self.slope_u * cos - self.slope_v * sin
+        rise_y = self.slope_u * sin + self.slope_v * cos
+        upwards = np.array([-rise_x, -rise_y, 1.0])
+        return np.asarray(upwards / np.linalg.norm(upwards))
+
+    def height_at_mm(self, x_mm: float, y_mm: float) -> float:
+        """Return the height, base frame, of the face's plane over a point of the table."""
+        cos, sin = np.cos(self.angle_rad), np.sin(self.angle_rad)
+        along = cos * (x_mm - self.x_mm) + sin * (y_mm - self.y_mm)
+        across = cos * (y_mm - self.y_mm) - sin * (x_mm - self.x_mm)
+        return float(self.z_mm + self.slope_u * along + self.slope_v * across)
+
     def corners_mm(self) -> Array:
         """Return the outline's corners (a circle: 24 points), (N, 3), base frame, counter-clockwise from above."""
         return self.place(unit_corners(self.figure))

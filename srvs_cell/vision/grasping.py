@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated
 
+import cv2
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -13,12 +14,18 @@ from srvs_cell.scene import Grasp
 from srvs_cell.vision.faces import Figure
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srvs_cell.geometry import Array
     from srvs_cell.vision.faces import Face
 
 _HALF_TURN_DEG = 180.0
 _FLAT_NORMAL_DEG = 30.0
 """From a hexagon's corner to the middle of the next flat."""
+_PAD_MM = 8.0
+"""Half the width of a finger's pad: as far beside its middle it meets a wall, too."""
+_SEAM_MM = 2.0
+"""A wall this far from a pad is met: measured outlines do not fit their common rectangle exactly."""
 
 
 @dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
@@ -60,6 +67,56 @@ def plan_grasp(
         table_z_mm: height of the table.
         parameters: what the gripper can take.
     """
+    return _grasp((face.x_mm, face.y_mm), _choices(face, table_z_mm), covariance_mm2, table_z_mm, parameters)
+
+
+def plan_joint_grasp(
+    body: Face, faces: Sequence[Face], covariance_mm2: Array, table_z_mm: float, parameters: GraspParameters
+) -> tuple[Grasp | None, str]:
+    """Return the grasp of an object of several top faces, or None and the reason.
+
+    The jaws close over the middle of the whole, along its short side if they can. What they hold is as high as the
+    lowest face that the finger pads meet.
+
+    Args:
+        body: the rectangle around all faces, seen from above.
+        faces: the top faces, base frame.
+        covariance_mm2: 3x3 of the body's centre.
+        table_z_mm: height of the table.
+        parameters: what the gripper can take.
+    """
+    angle_deg = float(np.rad2deg(body.angle_rad))
+    choices = [
+        (angle_deg + 90.0, body.width_mm, _wall_mm(body.quarter_turned(), faces, table_z_mm)),
+        (angle_deg, body.length_mm, _wall_mm(body, faces, table_z_mm)),
+    ]
+    return _grasp((body.x_mm, body.y_mm), choices, covariance_mm2, table_z_mm, parameters)
+
+
+def _wall_mm(body: Face, faces: Sequence[Face], table_z_mm: float) -> float:
+    """Return the height of the lowest wall that pads at both ends of a body's length meet; 0 where there is none."""
+    half = min(1.0, 2.0 * _PAD_MM / body.width_mm)
+    pads = body.place(np.array([(end, across) for end in (-1.0, 1.0) for across in (-half, 0.0, half)]))
+    heights = []
+    for x_mm, y_mm, _ in pads:
+        met = [face.height_at_mm(x_mm, y_mm) - table_z_mm for face in faces if _reaches(face, x_mm, y_mm)]
+        heights.append(min(met, default=0.0))
+    return min(heights)
+
+
+def _reaches(face: Face, x_mm: float, y_mm: float) -> bool:
+    outline = (face.corners_mm()[:, :2] - (x_mm, y_mm)).astype(np.float32)
+    return cv2.pointPolygonTest(outline, (0.0, 0.0), measureDist=True) >= -_SEAM_MM
+
+
+def _grasp(
+    centre_mm: tuple[float, float],
+    choices: Sequence[tuple[float, float, float]],
+    covariance_mm2: Array,
+    table_z_mm: float,
+    parameters: GraspParameters,
+) -> tuple[Grasp | None, str]:
+    """Return the first choice that the gripper can take, or None and every reason; choices as of `_choices`."""
     sigma_mm = float(np.sqrt(np.linalg.eigvalsh(covariance_mm2[:2, :2]).max()))
     if parameters.sigmas * sigma_mm > parameters.tolerance_mm:
         return None, (
@@ -67,11 +124,11 @@ def plan_grasp(
             f"the grasp allows {parameters.tolerance_mm:g} mm"
         )
     refusals = []
-    for yaw_deg, opening_mm, wall_mm in _choices(face, table_z_mm):
+    for yaw_deg, opening_mm, wall_mm in choices:
         refusal = _refusal(opening_mm, wall_mm, parameters)
         if not refusal:
             tip_z_mm = max(table_z_mm + parameters.clearance_mm, table_z_mm + wall_mm - parameters.depth_mm)
-            position = (face.x_mm, face.y_mm, tip_z_mm)
+            position = (*centre_mm, tip_z_mm)
             return Grasp(position, wrap_angle_deg(yaw_deg, _HALF_TURN_DEG) % _HALF_TURN_DEG, opening_mm), ""
         refusals.append(refusal)
     return None, "; ".join(refusals)

@@ -20,6 +20,7 @@ from srvs_cell.vision.edges import extract_edges
 from srvs_cell.vision.filtering import filter_edges
 from srvs_cell.vision.grouping import Grouping, group_surfaces
 from srvs_cell.vision.interpolation import disparity_at, fill_plane, fill_rows, find_row_ends, fit_disparity_plane
+from srvs_cell.vision.kinds import BUILT_IN_KINDS
 from srvs_cell.vision.lateral_stereo import surfaces_from_matches
 from srvs_cell.vision.matching import find_matches
 from srvs_cell.vision.planes import measure_planes
@@ -33,13 +34,14 @@ from srvs_cell.vision.thinning import thin
 from srvs_cell.vision.tracking import track_edges
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from srvs_cell.calibration import Calibration
     from srvs_cell.geometry import Transform
     from srvs_cell.scene import Plane, Surface, Workpiece
+    from srvs_cell.vision.kinds import ObjectKind
     from srvs_cell.vision.parameters import VisionParameters
     from srvs_cell.vision.rectification import RectifiedRig
 
@@ -52,6 +54,7 @@ _CHANNELS = 3
 _DIMENSIONS = (2, 3)
 _MILLISECONDS = 1000.0
 _REUSE_SHIFT_PX = 0.5
+_MOSTLY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +133,7 @@ def perceive(
     *,
     view: StereoView | None = None,
     early: LeftAnalysis | None = None,
+    kinds: Sequence[ObjectKind] = BUILT_IN_KINDS,
     stopwatch: Callable[[], float] | None = None,
 ) -> Perception:
     """See: from two images to planes, matches and disparities, with calibration to workpieces.
@@ -140,6 +144,7 @@ def perceive(
         parameters: of the vision; without ``view`` its disparity range is used.
         view: calibration and poses; None to work in pixels alone.
         early: what `analyse_left` found in the same left image; used where the reported poses allow it.
+        kinds: the library of objects; the first kind that fits wins.
         stopwatch: returns seconds; None measures no times.
 
     Raises:
@@ -180,7 +185,7 @@ def perceive(
         surfaces = surfaces_from_matches(seen.left, seen.matches, rig)
         steps.done("depth")
         workpieces = recognise(
-            surfaces, seen.left, seen.right, rig, view.table_z_mm, parameters.recognition, reference, relief
+            surfaces, seen.left, seen.right, rig, view.table_z_mm, parameters.recognition, reference, relief, kinds
         )
         steps.done("recognition")
     return Perception(
@@ -288,5 +293,17 @@ def _match(
         images = (left.grey, right.grey)
         disparity_px = fill_disparity(images, grouping.surfaces, parameters.dense, parameters.refinement, valid[0])
         steps.done("dense")
-    ambiguous = tuple(left.planes[number - 1] for number in matching.ambiguous)
-    return grouping, disparity_px, ambiguous
+    return grouping, disparity_px, _unresolved([left.planes[id_ - 1] for id_ in matching.ambiguous], left, grouping)
+
+
+def _unresolved(ambiguous: Sequence[Plane], left: PlaneImage, grouping: Grouping) -> tuple[Plane, ...]:
+    """Return the ambiguous planes that did not become part of a matched surface when regions were joined."""
+    matched = np.zeros(len(grouping.left.planes) + 1, dtype=np.bool_)
+    matched[[match.left for match in grouping.matches]] = True
+    unresolved = []
+    for plane in ambiguous:
+        x, y, width, height = plane.box_px
+        box = np.s_[y : y + height, x : x + width]
+        if matched[grouping.left.labels[box]][left.labels[box] == plane.id].mean() <= _MOSTLY:
+            unresolved.append(plane)
+    return tuple(unresolved)

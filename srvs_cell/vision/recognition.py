@@ -2,9 +2,9 @@
 
 From above a camera sees top faces, slivers of side faces, shadows and print. A surface that rises over the table and
 whose outline, fitted to the edges of both images, is a rectangle, a circle or a hexagon is a top face; what lies in
-the column under it (its side faces) or in it (print) belongs to it. The figure and the inclination of the top face
-say the kind. Surfaces at the height of the table, shadows among them, are table. What rises and is no known figure is
-reported as unknown with its surfaces.
+the column under it (its side faces) or in it (print) belongs to it. The library says which top faces make which kind
+of object. Surfaces at the height of the table, shadows among them, are table. What rises and is no known figure, or is
+in no library, is reported as unknown with its surfaces.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from srvs_cell.scene import UNKNOWN_KIND, Workpiece
 from srvs_cell.vision.face_fit import EdgeField
-from srvs_cell.vision.faces import Face, Figure
-from srvs_cell.vision.grasping import GraspParameters, plan_grasp
+from srvs_cell.vision.grasping import GraspParameters
+from srvs_cell.vision.kind_matching import group_faces
+from srvs_cell.vision.kinds import BUILT_IN_KINDS
 from srvs_cell.vision.recovery import (
     Region,
     find_places,
@@ -29,22 +29,19 @@ from srvs_cell.vision.recovery import (
     stable_regions,
     unmatched_planes,
 )
-from srvs_cell.vision.top_faces import SURE_RMS_PX, height_above_mm
 from srvs_cell.vision.tops import Top, add_tops, explainer, one_per_place, owner_of
 from srvs_cell.vision.verification import verify_tops
+from srvs_cell.vision.workpieces import make_workpiece, measure_face, unrecognised
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from srvs_cell.calibration import TableReference
     from srvs_cell.geometry import Array
-    from srvs_cell.scene import PlaneImage, Surface
+    from srvs_cell.scene import PlaneImage, Surface, Workpiece
+    from srvs_cell.vision.kinds import ObjectKind
     from srvs_cell.vision.rectification import RectifiedRig
     from srvs_cell.vision.relief import Relief
-
-_HALF_TURN_DEG = 180.0
-_DOUBT_FACTOR = 6.0
-"""Standard deviation that an edge misfit of a pixel more than the sure one adds, pixels."""
 
 
 @checked_dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
@@ -95,6 +92,7 @@ def recognise(
     parameters: RecognitionParameters | None = None,
     reference: TableReference | None = None,
     relief: Relief | None = None,
+    kinds: Sequence[ObjectKind] = BUILT_IN_KINDS,
 ) -> tuple[Workpiece, ...]:
     """Group surfaces into objects, recognise their kinds and measure them.
 
@@ -107,9 +105,10 @@ def recognise(
         parameters: limits; the defaults where None.
         reference: corrects what calibration and poses misplace; None corrects nothing.
         relief: what rises over the table; None where that was not measured.
+        kinds: the library; the first kind that fits wins.
 
     Returns:
-        Workpieces, the highest first; shapes that are not recognised have the kind ``unknown``.
+        Workpieces, the highest first; shapes that are in no library have the kind ``unknown``.
     """
     limits = parameters or RecognitionParameters()
     fields = (EdgeField.of(left.grey), EdgeField.of(right.grey))
@@ -135,8 +134,12 @@ def recognise(
         elif relief is None and _rises(surface, table_z_mm, limits):
             unknown.append(surface)
     unknown += find_places(rising_regions(unseen, left.grey.shape), left.grey, right.grey, rig, *spans)
-    workpieces = [_workpiece(top, rig, table_z_mm, limits, reference) for top in tops]
-    workpieces += [_unknown(surface, table_z_mm) for surface in unknown]
+    faces = [measure_face(top, rig, reference) for top in tops]
+    workpieces = [
+        make_workpiece(group, faces, table_z_mm, limits.grasp)
+        for group in group_faces([one.face for one in faces], table_z_mm, kinds)
+    ]
+    workpieces += [unrecognised(surface, table_z_mm) for surface in unknown]
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
 
@@ -157,70 +160,4 @@ def _rises(surface: Surface, table_z_mm: float, limits: RecognitionParameters) -
         limits.min_height_mm <= height_mm <= limits.max_height_mm
         and surface.normal[2] > steepest
         and _plan_area_mm2(surface) >= limits.min_unknown_area_mm2
-    )
-
-
-def _workpiece(
-    top: Top, rig: RectifiedRig, table_z_mm: float, limits: RecognitionParameters, reference: TableReference | None
-) -> Workpiece:
-    face = _long_side_first(top.fit.face)
-    centre = (face.x_mm, face.y_mm, face.z_mm)
-    if reference is None:
-        systematic = rig.error_budget.systematic_mm2(centre)
-    else:
-        systematic = reference.covariance_mm2(centre)
-        x_mm, y_mm, z_mm = (float(value) for value in centre + reference.correction_mm(centre))
-        face = replace(face, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
-        centre = (x_mm, y_mm, z_mm)
-    mm_per_px = (rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
-    # edges that do not fit are another face's or a shadow's, and may have moved a side by some times their misfit
-    doubt_mm = _DOUBT_FACTOR * max(0.0, top.fit.rms_px - SURE_RMS_PX) * float(mm_per_px)
-    covariance = top.fit.covariance_mm2 + systematic + np.eye(3) * doubt_mm**2
-    grasp, refusal = plan_grasp(face, covariance, table_z_mm, limits.grasp)
-    return Workpiece(
-        id=0,
-        kind=_kind(face),
-        position_mm=centre,
-        height_mm=height_above_mm(face, table_z_mm),
-        yaw_deg=float(np.rad2deg(face.angle_rad)) % _HALF_TURN_DEG if face.figure is Figure.RECTANGLE else None,
-        size_mm=(face.length_mm, face.width_mm),
-        covariance_mm2=covariance,
-        footprint_mm=face.corners_mm()[:, :2],
-        surfaces=top.surfaces,
-        grasp=grasp,
-        grasp_refusal=refusal,
-    )
-
-
-def _kind(face: Face) -> str:
-    if face.figure is Figure.CIRCLE:
-        return "cylinder"
-    if face.figure is Figure.HEXAGON:
-        return "prism"
-    return "wedge" if face.inclination_deg > 0.0 else "cuboid"
-
-
-def _long_side_first(face: Face) -> Face:
-    if face.figure is not Figure.RECTANGLE or face.length_mm >= face.width_mm:
-        return face
-    return face.quarter_turned()
-
-
-def _unknown(surface: Surface, table_z_mm: float) -> Workpiece:
-    hull = cv2.convexHull(surface.outline_mm[:, :2].astype(np.float32))
-    _, (length_mm, width_mm), angle_deg = cv2.minAreaRect(hull)
-    if width_mm > length_mm:
-        length_mm, width_mm, angle_deg = width_mm, length_mm, angle_deg + 90.0
-    return Workpiece(
-        id=0,
-        kind=UNKNOWN_KIND,
-        position_mm=surface.centre_mm,
-        height_mm=float(surface.centre_mm[2]) - table_z_mm,
-        yaw_deg=float(angle_deg) % _HALF_TURN_DEG,
-        size_mm=(float(length_mm), float(width_mm)),
-        covariance_mm2=surface.covariance_mm2,
-        footprint_mm=hull.reshape(-1, 2).astype(np.float64),
-        surfaces=(surface.id,),
-        grasp=None,
-        grasp_refusal="the shape is in no library",
     )

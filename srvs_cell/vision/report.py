@@ -20,6 +20,10 @@ def perception_to_json(perception: Perception, *, calibrated: bool = True) -> di
         "planes_left": [_plane(plane) for plane in perception.left.planes],
         "planes_right": [_plane(plane) for plane in perception.right.planes],
         "matches": [_match(match) for match in perception.matches],
+        # without numbers: planes_left holds surfaces that were joined since
+        "ambiguous_planes": [
+            {key: value for key, value in _plane(plane).items() if key != "id"} for plane in perception.ambiguous_planes
+        ],
     }
     if calibrated:
         report["workpieces"] = [workpiece_to_json(workpiece) for workpiece in perception.workpieces]

@@ -52,7 +52,7 @@ def test_without_calibration_it_works_in_pixels_and_prints_one_json_object(pair:
     result = run(*pair, "--min-disparity", 15, "--max-disparity", 40, "--json")
     assert result.exit_code == 0
     report = json.loads(result.stdout)
-    assert list(report) == ["planes_left", "planes_right", "matches", "timings_ms"]
+    assert list(report) == ["planes_left", "planes_right", "matches", "ambiguous_planes", "timings_ms"]
     found = sorted(match["disparity_px"] for match in report["matches"])
     assert any(value == pytest.approx(28.4, abs=0.2) for value in found)
     assert any(value == pytest.approx(26.0, abs=0.2) for value in found)
@@ -63,6 +63,19 @@ def test_people_get_a_table(pair: tuple[Path, Path]) -> None:
     assert result.exit_code == 0
     assert "matched" in result.stdout
     assert "disparity px" in result.stdout
+
+
+def test_a_plane_that_equals_could_fool_is_told_and_not_matched(tmp_path: Path) -> None:
+    one, other = square(120.0, 60.0, 40.0, 160.0, 20.0), square(120.0, 60.0, 40.0, 160.0, 75.0)
+    paths = tmp_path / "left.png", tmp_path / "right.png"
+    for path, image in zip(paths, (render([one])[0], render([one, other])[1]), strict=True):
+        cv2.imwrite(str(path), image)
+    result = run(*paths, "--max-disparity", 100)
+    assert result.exit_code == 0, result.output
+    assert "1 left unmatched because they are ambiguous, at x, y px: (119, 59)" in result.stdout
+    report = json.loads(run(*paths, "--max-disparity", 100, "--json").stdout)
+    assert report["matches"] == []
+    assert report["ambiguous_planes"][0]["centre_px"] == pytest.approx([119.5, 59.5], abs=1.0)
 
 
 def test_disparity_and_overlay_are_written(pair: tuple[Path, Path], tmp_path: Path) -> None:

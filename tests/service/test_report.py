@@ -16,7 +16,7 @@ def report(reasons: tuple[str, ...] = ()) -> Report:
         seed=5,
         imperfections="real",
         command="srvs-cell demo --seed 5",
-        comparison=compare(GRADE, 61.25, 7, 2, 2),
+        comparison=compare(GRADE, 61.25, 7, [(10.2, 20.0), (30.0, 40.6)], 2, 2),
         figures=(Figure("planes.png", "Matched planes"),),
         before_after=(),
         part_rows=part_rows(GRADE, [WORKPIECE]),
@@ -29,6 +29,7 @@ def test_the_page_puts_paper_and_run_side_by_side() -> None:
     page = render_report(report())
     for text in ("8 min", "61.2 s", "8.9 mm", "1.00 mm", "2 of at least 2", 'src="planes.png"', "cuboid 3", "12.3"):
         assert text in page
+    assert "2, at x, y px of the left image: (10, 20), (30, 41)" in page
     assert "https://" not in page
     assert "http://" not in page
 
@@ -39,3 +40,8 @@ def test_expected_error_is_the_covariances() -> None:
 
 def test_reasons_are_escaped() -> None:
     assert "&lt;b&gt;" in render_report(report(("<b> is not html",)))
+
+
+def test_a_run_without_ambiguous_planes_says_so() -> None:
+    (row,) = (row for row in compare(GRADE, None, 7, [], 0, None) if "ambiguous" in row.what)
+    assert row.this_run == "none"

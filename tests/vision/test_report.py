@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,7 +38,8 @@ PERCEPTION = Perception(
 
 def test_the_keys_are_those_of_the_contract() -> None:
     report = json.loads(json.dumps(perception_to_json(PERCEPTION)))
-    assert list(report) == ["planes_left", "planes_right", "matches", "workpieces", "timings_ms"]
+    keys = ["planes_left", "planes_right", "matches", "ambiguous_planes", "workpieces", "timings_ms"]
+    assert list(report) == keys
     assert report["planes_left"] == [
         {
             "id": 3,
@@ -69,3 +71,11 @@ def test_the_keys_are_those_of_the_contract() -> None:
 
 def test_without_calibration_there_are_no_workpieces() -> None:
     assert "workpieces" not in perception_to_json(PERCEPTION, calibrated=False)
+
+
+def test_ambiguous_planes_are_told_by_place_and_shape() -> None:
+    assert perception_to_json(PERCEPTION)["ambiguous_planes"] == []
+    (told,) = perception_to_json(replace(PERCEPTION, ambiguous_planes=(PLANE,)))["ambiguous_planes"]
+    assert told["centre_px"] == [10.5, 20.25]
+    assert told["brightness"] == 120.0
+    assert "id" not in told

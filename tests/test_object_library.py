@@ -1,0 +1,118 @@
+"""The library of object kinds: what is right is taken, what is wrong names file, key, value and bound."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.config import built_in_library, load_config, load_library, parse_library
+from srvs_cell.vision.kinds import BUILT_IN_KINDS, FacePattern, FaceRelation, ObjectKind
+from srvs_cell.vision.recognition import RecognitionParameters
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "reference" / "object-kinds.md").read_text(encoding="utf-8")
+EXAMPLE = next(block for block in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL) if "kinds:" in block)
+BAR = "schema_version: 1\nkinds:\n  - name: bar\n    faces: {top: {outline: rectangle, FACE}}\n"
+KIND = "schema_version: 1\nkinds: [{name: bar, KIND}]\n"
+TWO = "faces: {a: {outline: circle}, b: {outline: circle}}"
+
+
+def refusal(text: str) -> str:
+    with pytest.raises(AlarmError) as caught:
+        parse_library(text, "objects.yaml")
+    assert caught.value.alarm is Alarm.CONFIG_INVALID
+    assert caught.value.detail.startswith("objects.yaml: ")
+    return caught.value.detail
+
+
+def test_the_shipped_library_is_what_the_vision_knows_without_one() -> None:
+    assert built_in_library().kinds == BUILT_IN_KINDS
+
+
+def test_the_pages_example_is_a_library_in_front_of_the_built_in_kinds() -> None:
+    library = parse_library(EXAMPLE, "page")
+    own = ["bar", "plate", "cube_32", "nut_m24", "gable", "step"]
+    assert [kind.name for kind in library.kinds] == [*own, *(kind.name for kind in BUILT_IN_KINDS)]
+    library.check(RecognitionParameters())
+
+
+@pytest.mark.parametrize("table", [ObjectKind, FacePattern, FaceRelation])
+def test_the_page_tells_every_key(table: type) -> None:
+    for field in fields(table):
+        assert f"\n| `{field.name}` |" in PAGE
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (BAR.replace("FACE", "length_mm: [160, 80]"), "kinds.0.faces.top.length_mm: the least value 160 is greater"),
+        (BAR.replace("FACE", "length_mm: [-1, 80]"), "kinds.0.faces.top.length_mm.0 = -1: should be greater than or"),
+        (BAR.replace("FACE", "length_mm: [1, 2001]"), "kinds.0.faces.top.length_mm.1 = 2001: should be less than or"),
+        (BAR.replace("FACE", "length_mm: [1, .nan]"), "kinds.0.faces.top.length_mm.1 = NaN"),
+        (BAR.replace("FACE", 'length_mm: ["1", 2]'), 'kinds.0.faces.top.length_mm.0 = "1": should be a valid number'),
+        (BAR.replace("FACE", "length_mm: [80]"), "kinds.0.faces.top.length_mm.1: missing"),
+        (BAR.replace("FACE", "aspect: [0.5, 2]"), "kinds.0.faces.top.aspect.0 = 0.5: should be greater than or equal"),
+        (BAR.replace("FACE", "length: [1, 2]"), "kinds.0.faces.top.length: unknown key, did you mean 'length_mm'?"),
+        (BAR.replace("rectangle, FACE", "square"), "faces.top.outline = \"square\": should be 'rectangle', 'circle'"),
+        (BAR.replace("bar", "Bar"), 'kinds.0.name = "Bar": String should match pattern'),
+        (BAR.replace("bar", "b" * 41), "at most 40 characters"),
+        (BAR.replace("bar", "unknown").replace(", FACE", ""), "kinds.0: name: 'unknown' is what objects of no kind"),
+        (BAR.replace("bar", "cuboid").replace(", FACE", ""), "kinds: the name 'cuboid' is given twice (a built-in"),
+        (KIND.replace("KIND", "faces: {}"), "kinds.0.faces = {}: Dictionary should have at least 1 item"),
+        (KIND.replace("KIND", TWO), "kinds.0: relations: none joins the face 'b' to the others"),
+        (KIND.replace("KIND", TWO + ", relations: [{between: [a, c]}]"), "between: no face 'c' (faces: a, b)"),
+        (KIND.replace("KIND", TWO + ", relations: [{between: [a, a]}]"), "'a' has no relation to itself"),
+        (KIND.replace("KIND", TWO + ", relations: [{between: [a, b], max_gap_mm: 51}]"), "max_gap_mm = 51: should be"),
+        (KIND.replace("KIND", TWO + ", relations: [{between: [a, b], step_mm: [3, 1]}]"), "step_mm: the least value 3"),
+        ("schema_version: 2\nkinds: []", "schema_version = 2: should be 1"),
+        ("schema_version: 1", "kinds: missing"),
+        ("schema_version: 1\nkinds: []\nbuilt_in: false", "without built-in kinds nothing is recognised"),
+        ("schema_version: 1\nkinds: []\nkinds: []", "the key 'kinds' is given twice"),
+        ("schema_version: 1\nkinds: &all [*all]", "an alias is not allowed"),
+        ("[" * 50, "nested deeper than 12"),
+        ("kinds: [", "not YAML"),
+        ("- 1", "a mapping of keys is expected"),
+        ("#" * 70000, "longer than 65536 bytes"),
+    ],
+)
+def test_what_is_wrong_is_named(text: str, named: str) -> None:
+    assert named in refusal(text.replace(", FACE", ""))
+
+
+def test_a_file_that_is_missing_or_no_text_is_named(tmp_path: Path) -> None:
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe")
+    for name in ("none.yaml", "binary.yaml"):
+        with pytest.raises(AlarmError, match=name) as caught:
+            load_library(tmp_path / name)
+        assert caught.value.alarm is Alarm.CONFIG_INVALID
+
+
+@pytest.mark.parametrize(
+    ("face", "named"),
+    [
+        ("length_mm: [200, 300]", "faces.top.length_mm = [200, 300]: vision.recognition.max_size_mm = 160 mm excludes"),
+        ("width_mm: [2, 6]", "faces.top.width_mm = [2, 6]: vision.recognition.min_size_mm = 10 mm excludes"),
+        ("height_mm: [1, 5]", "faces.top.height_mm = [1, 5]: vision.recognition.min_height_mm = 8 mm excludes"),
+    ],
+)
+def test_a_kind_that_would_never_be_seen_is_refused(face: str, named: str) -> None:
+    library = parse_library(BAR.replace("FACE", face), "objects.yaml")
+    with pytest.raises(AlarmError) as caught:
+        library.check(RecognitionParameters())
+    assert named in caught.value.detail
+
+
+def test_the_cells_configuration_names_its_library(tmp_path: Path) -> None:
+    cell = tmp_path / "cell.yaml"
+    text = (ROOT / "configs" / "cell.sim.yaml").read_text(encoding="utf-8")
+    cell.write_text(text, encoding="utf-8")
+    assert load_config(cell).load_library().kinds == BUILT_IN_KINDS
+    cell.write_text(text + "\nobject_library: objects.yaml\n", encoding="utf-8")
+    (tmp_path / "objects.yaml").write_text(EXAMPLE, encoding="utf-8")
+    config = load_config(cell)
+    assert config.object_library == tmp_path / "objects.yaml"
+    assert config.load_library().kinds[0].name == "bar"
