@@ -236,8 +236,8 @@ class _Robot:
         if self._arm.fault is not None:
             self._raise(self._arm.fault)
         alarm = self.machine.catch_up(now_s)
-        if alarm is not None:
-            self._raise(alarm)
+        if alarm is not None:  # of a program that waits for an arm which has just come to fault, the cause is named
+            self._raise(self._arm.fault or alarm)
 
     def reset(self, now_s: float) -> None:
         """DO[4]: fault reset, abort, start of SRVS from its first line."""

@@ -79,6 +79,7 @@ class WireFault(Enum):
     NONSENSE = "answers with what is not Modbus"
     EXCEPTION = "answers every request with exception 4, device failure"
     CUT = "closes the connection instead of answering"
+    DUPLICATE = "answers every request twice"
 
 
 class ModbusServer:
@@ -172,6 +173,8 @@ class ModbusServer:
                         break
                     if fault is WireFault.LATE:
                         packet, late = late, packet
+                    if fault is WireFault.DUPLICATE:
+                        packet *= 2
                     connection.sendall(_NONSENSE if fault is WireFault.NONSENSE else packet)
         with self._lock:
             if self._connection is connection:
