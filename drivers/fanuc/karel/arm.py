@@ -77,6 +77,7 @@ class FanucKarelArm:
             self._raise(judgement.moving(await self._read()))
         except BaseException:
             self._session.close()
+            await asyncio.sleep(0)  # a socket is closed in the loop's next turn
             raise
         self._lifecycle = Lifecycle.INACTIVE
         self._heartbeat = asyncio.create_task(self._beat(), name="PC heartbeat")

@@ -1,7 +1,7 @@
 """The lines of the KAREL protocol (docs/reference/karel-protocol.md) as bytes and as values. Pure.
 
-    >17,MOVL,600000,0,400000,180000,0,0,20000*53201     PC to robot
-    <17,OK*32061                                        robot to PC
+    >17,MOVL,600000,0,400000,180000,0,0,20000*14913     PC to robot
+    <17,OK*43627                                        robot to PC
 
 The checksum is Fletcher-16 (RFC 1146, appendix II) over everything before the star, written as high * 256 + low: two
 additions a character, which a controller of the nineties can afford and a CRC bit by bit is not.

@@ -89,6 +89,7 @@ class LineSession:
             PortError: PROTOCOL_ERROR, PROTOCOL_VERSION where something else answers.
         """
         self.lost, self.bad_lines, self._bad_in_a_row = None, 0, []
+        self._done_with.clear()
         self._buffer = LineBuffer()
         await self._link.open(self._take, self._end)
         self._open = True
@@ -97,13 +98,13 @@ class LineSession:
             self._link.send(END)
             reply = await self.read("HELO", PROTOCOL)
             self._check_greeting(reply)
-        except PortError as error:
+        except BaseException as error:
             self.close()
-            raise self._why_not_greeted(error) from error
-        except BaseException:
-            self.close()
+            await asyncio.sleep(0)  # a socket is closed in the loop's next turn
+            if isinstance(error, PortError):
+                raise self._why_not_greeted(error) from error
             raise
-        self._sequence = self._last_move = reply.values[1]
+        self._last_move = reply.values[1]
 
     def close(self) -> None:
         """End the conversation."""

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from srvs_cell.ports import Clock
 
 CARRIERS = ("tcp", "serial")
+POLL_S = 0.2
+"""Fewer readings in a move than the driver's default: enough to see all that happens."""
 
 
 def make_arm(clock: Clock, carrier: str, address: str, **settings: object) -> FanucKarelArm:
@@ -44,6 +46,9 @@ class KarelBench:
     async def ready(self) -> None:
         await self.arm.connect()
         await self.arm.activate()
+
+    def moving(self) -> bool:
+        return self.point.moving
 
     def begin_move(self) -> asyncio.Task[Xyzwpr]:
         return asyncio.create_task(self.arm.move_linear(TARGET, SPEED_MM_S))
@@ -69,7 +74,7 @@ async def karel_bench(
     controller = KarelController(point, time, PtyCarrier() if carrier == "serial" else TcpCarrier(), sources)
     address = controller.start()
     clock = SteppedClock(time)
-    arm = make_arm(clock, carrier, address, timeout_s=timeout_s, **settings)
+    arm = make_arm(clock, carrier, address, timeout_s=timeout_s, **{"poll_s": POLL_S, **settings})
     clock.busy = lambda: arm._session.busy
     try:
         yield KarelBench(time, clock, point, controller, arm, carrier, address)
