@@ -1,6 +1,7 @@
 """What keeps the arm from working over the KAREL line protocol: greets, reads, hangs up.
 
-QUIT is not sent: it would end a move that somebody else has begun on a serial line.
+A greeting ends what a program that has died may have left under way; one that lives holds the wire, so that nobody else
+is heard.
 """
 
 from __future__ import annotations

@@ -17,7 +17,9 @@ from srvs_cell.geometry import Xyzwpr
 from srvs_cell.ports import CommandRejectedError, PortError, RobotMode
 from tests.drivers.fanuc.karel_conversation import fletcher
 
-PAGE = Path(__file__).parents[3] / "docs" / "reference" / "karel-protocol.md"
+DOCS = Path(__file__).parents[3] / "docs"
+PAGE = DOCS / "reference" / "karel-protocol.md"
+HOW_TO = DOCS / "how-to" / "connect-fanuc-karel.md"
 VALUES = st.lists(st.integers(-999_999_999, 999_999_999), max_size=7)
 GOOD = (0, 0, 0, 1, 3, 100, 1, 1, 0, 500_000, 0, 400_000, 180_000, 0, 0)
 
@@ -52,6 +54,13 @@ def test_the_lines_of_the_page_and_of_the_module_are_right() -> None:
         encode(17, "MOVL", *messages.move_values(Xyzwpr(600.0, 0.0, 400.0, 180.0, 0.0, 0.0), 20.0)).decode().strip(),
         _reply(b"<17,OK").decode(),
     }
+
+
+def test_the_lines_that_the_how_to_shows_are_right() -> None:
+    shown = re.findall(r"`([<>]\d+,[^`]*\*\d+)`", HOW_TO.read_text(encoding="utf-8"))
+    assert [line.split("*")[0] for line in shown] == [">1,HELO,4301", ">2,STAT", "<0,NO,1"]
+    for line in shown:
+        assert _reply(line.split("*")[0].encode()).decode() == line
 
 
 def test_the_numbers_of_the_page_are_those_of_the_code() -> None:
