@@ -75,7 +75,7 @@ def summary(objects: int, results: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Print the table and the failures."""
+    """Print the table, and the failures to stderr."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--objects", type=int, nargs="+", default=[3, 5, 8])
@@ -92,9 +92,9 @@ def main() -> None:
             results = list(pool.map(lambda seed, n=objects: run_demo(n, seed), range(options.seeds)))
         print(summary(objects, results), flush=True)
         every += results
-    for result in every:
-        if not result["success"] or result["exit_code"]:
-            print(f"objects {result['objects']} seed {result['seed']}: {result.get('reasons')}")
+        failed = [result for result in results if not result["success"] or result["exit_code"]]
+        for result in failed:
+            print(f"objects {objects} seed {result['seed']}: {result.get('reasons')}", file=sys.stderr, flush=True)
     if options.json:
         options.json.write_text(json.dumps(every, indent=1), encoding="utf-8")
 

@@ -13,10 +13,12 @@ import numpy as np
 
 from srvs_cell.vision.face_fit import FaceFit
 from srvs_cell.vision.outlines import Outlines, in_front
-from srvs_cell.vision.profiles import LEVELS, USUAL_BLUR_PX, Pictures, Profiles, read_profiles
+from srvs_cell.vision.profiles import LEVELS, LEVELS_SEEN, USUAL_BLUR_PX, Pictures, Profiles, read_profiles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
     from srvs_cell.vision.faces import Face
@@ -24,13 +26,27 @@ if TYPE_CHECKING:
 
 BLURS_PX = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2)
 """Standard deviations that the picture of a sharp border may have."""
-SCOUT = (2.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How thoroughly outlines are fitted.
+
+    Attributes:
+        widths: of the model's border over the picture's in each iteration; wide ones reach farther.
+        samples: on each outline, a multiple of 12.
+    """
+
+    widths: tuple[float, ...]
+    samples: int = 96
+
+
+SCOUT = Effort((2.0, 2.0), 48)
 """Shows whether a start leads anywhere: a border twice as wide as the picture's reaches farther."""
-REACH = (2.0, 2.0, 1.0, 1.0, 1.0, 1.0)
+REACH = Effort((2.0, 2.0, 1.0, 1.0, 1.0, 1.0))
 """From a start a few pixels off."""
-SETTLE = (1.0, 1.0, 1.0, 1.0, 1.0)
+SETTLE = Effort((1.0, 1.0, 1.0, 1.0, 1.0))
 """From where the edges led."""
-_SAMPLES = 96
 _SIDE_SIGMA = 60.0
 """Grey values by which a side face may differ from what lies behind it."""
 _ROBUST_SIGMA = 3.0
@@ -59,7 +75,7 @@ def fit_profiles(
     pictures: Pictures,
     rig: RectifiedRig,
     table_z_mm: float,
-    effort: Sequence[float] = SETTLE,
+    effort: Effort = SETTLE,
 ) -> list[FaceFit | None]:
     """Fit faces to the grey values across their outlines, each for itself.
 
@@ -69,7 +85,7 @@ def fit_profiles(
         pictures: the rectified images.
         rig: the rectified cameras.
         table_z_mm: height of the table, base frame.
-        effort: width of the model's border over the picture's in each iteration; wide ones reach farther.
+        effort: iterations and samples.
 
     Returns:
         For each start a fit, or None where the outline is not in front of the cameras. Its ``rms_px`` is the
@@ -79,14 +95,14 @@ def fit_profiles(
     fits: list[FaceFit | None] = [None] * len(starts)
     if not starts:
         return fits
-    outlines = Outlines.of(starts, inclined, _SAMPLES, equal_sides=True)
+    outlines = Outlines.of(starts, inclined, effort.samples, equal_sides=True)
     alive = np.arange(len(starts))
-    for width in (*effort, None):
+    for width in (*effort.widths, None):
         there = np.flatnonzero(in_front(outlines, rig))
         if there.size == 0:
             return fits
         outlines, alive = outlines.only(there), alive[there]
-        blur_px = (effort[-1] if width is None else width) * pictures.blur_px
+        blur_px = (effort.widths[-1] if width is None else width) * pictures.blur_px
         profiles = read_profiles(outlines, pictures, rig, table_z_mm, blur_px)
         explained = _explain(profiles, pictures.noise)
         steps, covariances = _solved(profiles, explained, pictures.noise)
@@ -105,7 +121,7 @@ def measure_blur(faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, t
     """Return which blur explains the borders of well known faces best, pixels; the usual one where there are none."""
     if not faces:
         return USUAL_BLUR_PX
-    outlines = Outlines.of(faces, [False] * len(faces), _SAMPLES, equal_sides=True)
+    outlines = Outlines.of(faces, [False] * len(faces), SETTLE.samples, equal_sides=True)
 
     def energy(blur_px: float) -> float:
         profiles = read_profiles(outlines, pictures, rig, table_z_mm, blur_px)
@@ -116,51 +132,60 @@ def measure_blur(faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, t
 
 @dataclass(frozen=True, eq=False)
 class _Explained:
-    """Profiles explained by grey levels: B faces, G stretches, M values.
+    """Profiles explained by grey levels: B faces, G stretches, M values in each of both images.
 
     Attributes:
-        residual: seen minus expected, shape (B, G, M).
+        residual: seen minus expected, shape (B, G, 2, M).
         weights: robust weights, the same shape.
-        limit: what a residual may be like noise, shape (B, G, 1).
-        gradient: how the expected values change when the border moves outwards, shape (B, G, M).
+        limit: what a residual may be like noise, shape (B, G, 1, 1).
+        gradient: how the expected values change when the border moves outwards, shape (B, G, 2, M).
     """
 
-    residual: Array
-    weights: Array
-    limit: Array
-    gradient: Array
+    residual: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    limit: NDArray[np.float32]
+    gradient: NDArray[np.float32]
 
     def energy(self, profiles: Profiles) -> Array:
         """Return the capped squared residuals of each face, shape (B,)."""
         capped = np.minimum(np.abs(self.residual), _CAPPED * self.limit)
-        energy: Array = (profiles.weights * capped**2).sum(axis=(1, 2))
-        return energy
+        return np.asarray((profiles.weights * capped**2).sum(axis=(1, 2, 3)), dtype=np.float64)
 
 
 def _explain(profiles: Profiles, noise: float) -> _Explained:
     """Estimate the grey levels of each stretch, robustly."""
     ridge = _ridge(noise)
     weights = profiles.weights
-    residual, limit = profiles.grey, np.ones((*profiles.grey.shape[:2], 1))
-    levels = np.zeros((*profiles.grey.shape[:2], LEVELS))
+    residual, limit = profiles.grey, np.ones((*profiles.grey.shape[:2], 1, 1), np.float32)
+    by_image = np.zeros((*profiles.grey.shape[:3], len(LEVELS_SEEN[0])), np.float32)
     for _ in range(_LEVEL_PASSES):
-        weighted = np.swapaxes(profiles.by_level * weights[..., None], -1, -2)
-        levels = np.linalg.solve(weighted @ profiles.by_level + ridge, weighted @ profiles.grey[..., None])[..., 0]
-        residual = profiles.grey - (profiles.by_level @ levels[..., None])[..., 0]
-        limit = np.maximum(_ROBUST_SIGMA * noise, _ROBUST_SHARE * np.ptp(levels, axis=-1))[..., None]
+        weighted = profiles.by_level * weights[..., None, :]
+        own = _together(weighted @ np.swapaxes(profiles.by_level, -1, -2))
+        seen = _stacked((weighted @ profiles.grey[..., None])[..., 0])
+        levels = np.linalg.solve(own + ridge, seen[..., None])[..., 0]
+        by_image = levels[..., LEVELS_SEEN].astype(np.float32)
+        residual = profiles.grey - (by_image[..., None, :] @ profiles.by_level)[..., 0, :]
+        spread = np.maximum(_ROBUST_SIGMA * noise, _ROBUST_SHARE * np.ptp(levels, axis=-1))
+        limit = spread.astype(np.float32)[..., None, None]
         weights = profiles.weights / (1.0 + (residual / limit) ** 2) ** 2
-    return _Explained(residual, weights, limit, (profiles.slopes @ levels[..., None])[..., 0])
+    return _Explained(residual, weights, limit, (by_image[..., None, :] @ profiles.slopes)[..., 0, :])
 
 
 def _solved(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array]:
     """Return Gauss-Newton steps (B, 7) and unscaled covariances (B, 7, 7), the grey levels eliminated."""
-    jacobian = profiles.by_parameter * explained.gradient[..., None]
-    weighted = np.swapaxes(jacobian * explained.weights[..., None], -1, -2)
-    levels = np.swapaxes(profiles.by_level * explained.weights[..., None], -1, -2)
-    cross = levels @ jacobian
-    own = levels @ profiles.by_level + _ridge(noise)
-    normal = (weighted @ jacobian - np.swapaxes(cross, -1, -2) @ np.linalg.solve(own, cross)).sum(axis=1)
-    vector = (weighted @ explained.residual[..., None]).sum(axis=1)[..., 0]
+    faces, *_, parameters = profiles.by_parameter.shape
+    # all values of a profile move together: sums over its offsets come first
+    sloped = explained.weights * explained.gradient
+    steepness = profiles.per_sample(sloped * explained.gradient)
+    pull = profiles.per_sample(sloped * explained.residual)
+    by_level = profiles.per_sample(profiles.by_level * sloped[..., None, :])
+    cross = _stacked(by_level @ profiles.by_parameter)
+    weighted = profiles.by_level * explained.weights[..., None, :]
+    own = _together(weighted @ np.swapaxes(profiles.by_level, -1, -2)) + _ridge(noise)
+    moved = profiles.by_parameter.reshape(faces, -1, parameters)
+    normal = np.swapaxes(moved * steepness.reshape(faces, -1, 1), -1, -2) @ moved
+    normal -= (np.swapaxes(cross, -1, -2) @ np.linalg.solve(own, cross)).sum(axis=1)
+    vector = (np.swapaxes(moved, -1, -2) @ pull.reshape(faces, -1, 1))[..., 0]
     diagonal = np.einsum("bii->bi", normal)
     # what is held has no row: 1 on the diagonal keeps the inverse of the rest
     norm = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
@@ -169,6 +194,23 @@ def _solved(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Ar
     steps = np.linalg.solve(scaled, (vector / norm)[..., None])[..., 0] / norm
     covariances = np.linalg.inv(scaled) / (norm[:, :, None] * norm[:, None, :])
     return np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS), covariances
+
+
+def _stacked(by_image: Array) -> Array:
+    """Return sums by the three levels that each image shows, shape (B, G, 2, 3, ...), by the five levels."""
+    stacked = np.zeros((*by_image.shape[:2], LEVELS, *by_image.shape[4:]))
+    for image, levels in enumerate(LEVELS_SEEN):
+        stacked[:, :, levels] += by_image[:, :, image]
+    return stacked
+
+
+def _together(by_image: Array) -> Array:
+    """Return the normal matrices of both images, shape (B, G, 2, 3, 3), as those of the five levels."""
+    together = np.zeros((*by_image.shape[:2], LEVELS, LEVELS))
+    for image, levels in enumerate(LEVELS_SEEN):
+        rows, columns = np.ix_(levels, levels)
+        together[:, :, rows, columns] += by_image[:, :, image]
+    return together
 
 
 def _ridge(noise: float) -> Array:

@@ -30,7 +30,9 @@ LEVELS = 5
 USUAL_BLUR_PX = 0.85
 _OFFSETS_PX = np.arange(-4.0, 3.5, 1.0)
 """Where a profile is read, outwards from the border. Farther out the edge of a shadow would often be met."""
-_SIDE_LEVEL = 4
+_SEEN = 3
+LEVELS_SEEN = ((0, 1, 4), (2, 3, 4))
+"""Which of the levels the left and the right image show: face, background, side face."""
 _MIN_SIGMA = 0.5
 _MAD = 1.4826
 _BEND = float(np.sqrt(6.0))
@@ -63,30 +65,29 @@ class Pictures:
 
 @dataclass(frozen=True, eq=False)
 class Profiles:
-    """The profiles of B faces: G stretches of M values each, in the order image, sample, offset.
+    """The profiles of B faces: G stretches of M values in each of both images, by sample and offset.
+
+    Each image shows three grey levels of a stretch, `LEVELS_SEEN`. Values are float32: twice as many pass at a time.
 
     Attributes:
-        grey: what was seen, shape (B, G, M).
-        weights: 0 outside of the image; less than 1 where samples lie closer than a pixel, shape (B, G, M).
-        by_level: what the model expects, by each of the five grey levels, shape (B, G, M, 5).
+        grey: what was seen, shape (B, G, 2, M).
+        weights: 0 outside of the image; less than 1 where samples lie closer than a pixel, shape (B, G, 2, M).
+        by_level: what the model expects, by each of the three grey levels, shape (B, G, 2, 3, M).
         slopes: how that changes with the border's place, grey values per pixel outwards, the same shape.
-        by_parameter: how far the border moves outwards with each of the face's seven parameters, pixels,
-            shape (B, G, M, 7).
-        samples: number of samples of a stretch in both images; M over it is the number of offsets.
+        by_parameter: how far the border at each of S samples moves outwards with the face's seven parameters, pixels,
+            shape (B, G, 2, S, 7).
     """
 
-    grey: Array
-    weights: Array
-    by_level: Array
-    slopes: Array
+    grey: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    by_level: NDArray[np.float32]
+    slopes: NDArray[np.float32]
     by_parameter: Array
-    samples: int
 
-    def per_sample(self, values: Array) -> Array:
-        """Return values of shape (B, G, M) summed over the offsets of each profile, shape (B, G, 2, samples / 2)."""
-        faces = len(values)
-        summed: Array = values.reshape(faces, GROUPS, 2, self.samples // 2, -1).sum(axis=-1)
-        return summed
+    def per_sample(self, values: NDArray[np.float32]) -> Array:
+        """Return values of shape (..., M) summed over the offsets of each profile, shape (..., S)."""
+        samples = self.by_parameter.shape[3]
+        return np.asarray(values.reshape(*values.shape[:-1], samples, -1).sum(axis=-1), dtype=np.float64)
 
 
 def read_profiles(
@@ -101,44 +102,36 @@ def read_profiles(
         table_z_mm: height of the table, base frame: there the side faces end.
         blur_px: width of the model's borders, one standard deviation.
     """
-    seen = [
-        _read_one(outlines, image, shift_mm, rig, table_z_mm, blur_px)
-        for image, shift_mm in zip(pictures.images, (0.0, rig.baseline_mm), strict=True)
-    ]
     faces, samples = outlines.unit.shape[:2]
     per_group = samples // GROUPS
-    shape = (faces, GROUPS, 2, per_group, _OFFSETS_PX.size)
-    by_level, slopes = np.zeros((*shape, LEVELS)), np.zeros((*shape, LEVELS))
-    for number, one in enumerate(seen):
-        for part, level in enumerate((2 * number, 2 * number + 1, _SIDE_LEVEL)):
-            by_level[:, :, number, ..., level] = one.parts[part].reshape(faces, GROUPS, per_group, -1)
-            slopes[:, :, number, ..., level] = one.slopes[part].reshape(faces, GROUPS, per_group, -1)
-    flat = (faces, GROUPS, 2 * per_group * _OFFSETS_PX.size)
-
-    def together(values: list[Array]) -> Array:
-        parts = [value.reshape(faces, GROUPS, per_group, _OFFSETS_PX.size, -1) for value in values]
-        stacked: Array = np.stack(parts, axis=2).reshape(*flat, -1)
-        return stacked
-
-    moved = [np.broadcast_to(one.moved[:, :, None, :], (*one.grey.shape, one.moved.shape[-1])) for one in seen]
-    return Profiles(
-        together([one.grey for one in seen])[..., 0],
-        together([one.weights for one in seen])[..., 0],
-        by_level.reshape(*flat, LEVELS),
-        slopes.reshape(*flat, LEVELS),
-        together(moved),
-        2 * per_group,
+    shape = (faces, GROUPS, 2, per_group * _OFFSETS_PX.size)
+    profiles = Profiles(
+        np.empty(shape, dtype=np.float32),
+        np.empty(shape, dtype=np.float32),
+        np.empty((*shape[:3], _SEEN, shape[3]), dtype=np.float32),
+        np.empty((*shape[:3], _SEEN, shape[3]), dtype=np.float32),
+        np.empty((*shape[:3], per_group, outlines.values.shape[1])),
     )
+    stretch = (faces, GROUPS, shape[3])
+    for number, shift_mm in enumerate((0.0, rig.baseline_mm)):
+        one = _read_one(outlines, pictures.images[number], shift_mm, rig, table_z_mm, blur_px)
+        profiles.grey[:, :, number] = one.grey.reshape(stretch)
+        profiles.weights[:, :, number] = one.weights.reshape(stretch)
+        for part in range(_SEEN):
+            profiles.by_level[:, :, number, part] = one.parts[part].reshape(stretch)
+            profiles.slopes[:, :, number, part] = one.slopes[part].reshape(stretch)
+        profiles.by_parameter[:, :, number] = one.moved.reshape(faces, GROUPS, per_group, -1)
+    return profiles
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
     """The profiles in one image, shape (B, N, T); ``parts`` and ``slopes`` by face, background and side face."""
 
-    grey: Array
-    weights: Array
-    parts: tuple[Array, Array, Array]
-    slopes: tuple[Array, Array, Array]
+    grey: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    parts: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+    slopes: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
     moved: Array
 
 
@@ -159,29 +152,24 @@ def _read_one(
     # as much of the side face shows as its foot lies outside of the face
     feet = _pixels(rig.camera_T_base.apply(feet_mm) - (shift_mm, 0.0, 0.0), rig)
     side_px = np.maximum(((feet - pixels) * normals).sum(axis=-1), 0.0)
-    places = pixels[:, :, None, :] + normals[:, :, None, :] * _OFFSETS_PX[:, None]
-    flat = places.reshape(len(places), -1, 2).astype(np.float32)
+    x, y = ((pixels[..., axis, None] + normals[..., axis, None] * _OFFSETS_PX).astype(np.float32) for axis in (0, 1))
+    flat = (len(x), -1)
     read = cv2.remap(
-        image,
-        np.ascontiguousarray(flat[..., 0]),
-        np.ascontiguousarray(flat[..., 1]),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    grey = np.asarray(read, dtype=np.float64).reshape(places.shape[:3])
-    last = (image.shape[1] - 1.0, image.shape[0] - 1.0)
-    inside = (places >= 0.0).all(axis=-1) & (places <= last).all(axis=-1)
+        image, x.reshape(flat), y.reshape(flat), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    ).reshape(x.shape)
+    inside = (x >= 0.0) & (x <= image.shape[1] - 1.0) & (y >= 0.0) & (y <= image.shape[0] - 1.0)
     spacing_px = np.median(np.linalg.norm(np.roll(pixels, -1, axis=1) - pixels, axis=-1), axis=1)
-    border, end = _OFFSETS_PX / blur_px, (_OFFSETS_PX - side_px[..., None]) / blur_px
-    beyond_border, beyond_end = np.broadcast_to(ndtr(border), grey.shape), ndtr(end)
-    peak_border = np.broadcast_to(np.exp(-0.5 * border**2) * (_PEAK / blur_px), grey.shape)
-    peak_end = np.exp(-0.5 * end**2) * (_PEAK / blur_px)
+    border = (_OFFSETS_PX / blur_px).astype(np.float32)
+    end = ((_OFFSETS_PX - side_px[..., None]) / blur_px).astype(np.float32)
+    beyond_border, beyond_end = np.broadcast_to(ndtr(border), read.shape), ndtr(end)
+    peak = np.float32(_PEAK / blur_px)
+    peak_border, peak_end = np.broadcast_to(np.exp(-0.5 * border**2) * peak, read.shape), np.exp(-0.5 * end**2) * peak
     covectors = np.concatenate(
         [normals, -(normals * seen[..., :2]).sum(axis=-1, keepdims=True) / seen[..., 2:]], axis=-1
     ) * (rig.f_px / seen[..., 2:])
     return _Seen(
-        grey,
-        inside * np.minimum(spacing_px, 1.0)[:, None, None],
+        np.asarray(read, dtype=np.float32),
+        inside * np.minimum(spacing_px, 1.0).astype(np.float32)[:, None, None],
         (1.0 - beyond_border, beyond_end, beyond_border - beyond_end),
         (peak_border, -peak_end, peak_end - peak_border),
         outlines.change(covectors @ rig.camera_T_base.rotation),

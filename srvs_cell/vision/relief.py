@@ -27,11 +27,15 @@ if TYPE_CHECKING:
 
 _UP = np.array([0.0, 0.0, 1.0])
 _SMOOTHING_PX = 1.0
-_BACKGROUND_PX = 61
-"""Side of the window whose mean is taken away: the lens darkens the two pictures differently."""
+_STRIDE = 8
+"""Every so many pixels are enough for what the lens does to the whole picture."""
+_DEGREE = 3
 _CALM = 4.0
-"""A difference of more than so many standard deviations is of what rises, and no part of that mean."""
+"""A difference of more than so many times the median one is of what rises."""
+_CALM_ROUNDS = 4
 _LEAST_CALM = 0.05
+"""Where less of the picture is calm, what the lens does is not known."""
+_LEAST_SPREAD = 0.05
 _BORDER_PX = 9
 _WINDOW_PX = 5
 _NOISE_FACTOR = 4.5
@@ -43,6 +47,8 @@ _MIN_AREA_PX = 40
 _MIN_OUTLINE_PX = 600.0
 """Less than the outline of the least part, doubled, at the camera's usual distance."""
 _JOIN_PX = 7
+_SEAM_PX = 11
+"""What reaches no farther out of an explained polygon than half of this is its seam."""
 _MIN_ROWS = 0.6
 """Share of their rows that the left and the right border of one face have in common."""
 
@@ -93,13 +99,9 @@ def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableRefer
     )
     laid_right = cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)
     valid = np.asarray((seen_left > 0) & (laid_right > 0), dtype=np.bool_)
-    difference = np.asarray(np.where(valid, left - laid, 0.0), dtype=np.float32)
-    spread = 1.4826 * float(np.median(np.abs(difference[valid]))) if valid.any() else 1.0
-    calm = np.asarray(valid & (np.abs(difference) <= _CALM * spread), dtype=np.float32)
-    window = (_BACKGROUND_PX, _BACKGROUND_PX)
-    steady: NDArray[np.float32] = np.asarray(difference * calm, dtype=np.float32)
-    background = cv2.blur(steady, window) / np.maximum(cv2.blur(calm, window), np.float32(_LEAST_CALM))
-    difference = np.asarray(np.where(valid, difference - background, 0.0), dtype=np.float32)
+    raw = np.asarray(left - laid, dtype=np.float32)
+    lens = _vignetting(np.asarray(left, dtype=np.float32), raw, valid)
+    difference = np.asarray(np.where(valid, raw - lens, 0.0), dtype=np.float32)
     noise = max(1.4826 * float(np.median(np.abs(difference[valid]))), 0.05) if valid.any() else 1.0
     slopes = [np.square(cv2.Sobel(left, cv2.CV_32F, *order, ksize=3) / _SOBEL) for order in ((1, 0), (0, 1))]
     steep: NDArray[np.float32] = np.asarray(slopes[0] + slopes[1], dtype=np.float32)
@@ -108,6 +110,29 @@ def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableRefer
     energy = cv2.blur(squared, near)
     allowed = _NOISE_FACTOR * noise**2 + _SLACK_PX**2 * cv2.blur(steep, near)
     return Relief(difference, (energy > allowed) & valid, noise, valid)
+
+
+def _vignetting(left: NDArray[np.float32], difference: NDArray[np.float32], valid: Mask) -> NDArray[np.float32]:
+    """Return the difference of the table's own pictures: the lens darkens the two differently.
+
+    A share of the grey value that is a cubic polynomial of the place, fitted to what is no part: there it fails.
+    """
+    grey, seen, there = (np.ascontiguousarray(part[::_STRIDE, ::_STRIDE]) for part in (left, difference, valid))
+    rows, columns = grey.shape
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, columns), np.linspace(-1.0, 1.0, rows))
+    powers = [x**i * y**j for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    places = np.stack(powers, axis=-1)
+    used = there.copy()
+    share = np.zeros(grey.shape)
+    for _ in range(_CALM_ROUNDS):
+        if np.count_nonzero(used) <= _LEAST_CALM * used.size:
+            break
+        by_place = places[used] * grey[used][:, None]
+        share = places @ np.linalg.lstsq(by_place, seen[used], rcond=None)[0]
+        misfit = np.abs(seen - share * grey)
+        used = there & (misfit <= _CALM * max(float(np.median(misfit[used])), _LEAST_SPREAD))
+    smooth = cv2.resize(share.astype(np.float32), (left.shape[1], left.shape[0]), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(smooth * left, dtype=np.float32)
 
 
 def risen(relief: Relief, explained: Iterable[Array]) -> list[int]:
@@ -133,9 +158,11 @@ def rising_outlines(relief: Relief, explained: Iterable[Array], min_area_px: int
         min_area_px: pieces of fewer rising pixels are left out, and pieces are not taken together; None for pieces
             that may be the border of a face.
     """
-    mask = relief.rises.astype(np.uint8)
+    inside = np.zeros(relief.rises.shape, dtype=np.uint8)
     for polygon in explained:
-        cv2.fillPoly(mask, [np.rint(polygon).astype(np.int32)], 0)
+        cv2.fillPoly(inside, [np.rint(polygon).astype(np.int32)], 1)
+    beside = np.asarray(cv2.dilate(inside, np.ones((_SEAM_PX, _SEAM_PX), np.uint8)), dtype=np.uint8)
+    mask = np.asarray(relief.rises & (inside == 0), dtype=np.uint8)
     joined = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_JOIN_PX, _JOIN_PX), np.uint8))
     count, found, sizes, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
     labels, boxes = np.asarray(found, dtype=np.int32), np.asarray(sizes, dtype=np.int32)
@@ -144,6 +171,7 @@ def rising_outlines(relief: Relief, explained: Iterable[Array], min_area_px: int
         for number in range(1, count)
         if boxes[number][4] >= (min_area_px or _MIN_AREA_PX)
     ]
+    pieces = [piece for piece in pieces if piece.outside(beside) >= _MIN_AREA_PX]
     outlines = [piece.points for piece in pieces]
     if min_area_px is None:
         outlines += [
@@ -167,6 +195,10 @@ class _Piece:
         rows, columns = np.nonzero(labels[y : y + height, x : x + width] == number)
         points = np.column_stack([columns + x, rows + y]).astype(np.int32)
         return cls(points, (x, y, x + width, y + height))
+
+    def outside(self, mask: NDArray[np.uint8]) -> int:
+        """Return how many of the pixels lie outside of a mask."""
+        return int(np.count_nonzero(mask[self.points[:, 1], self.points[:, 0]] == 0))
 
     def beside(self, other: _Piece) -> bool:
         """Whether the two may be the left and the right border of one face."""

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage
     from srvs_cell.vision.face_fit import FaceFit
+    from srvs_cell.vision.profile_fit import Effort
     from srvs_cell.vision.profiles import Pictures
     from srvs_cell.vision.rectification import RectifiedRig
 
@@ -219,7 +220,7 @@ def _promising(scouted: list[FaceFit]) -> list[FaceFit]:
 
 
 def _fitted(
-    starts: Sequence[Face], pictures: Pictures, rig: RectifiedRig, table_z_mm: float, effort: Sequence[float]
+    starts: Sequence[Face], pictures: Pictures, rig: RectifiedRig, table_z_mm: float, effort: Effort
 ) -> list[FaceFit]:
     inclined = [start.slope_u != 0.0 for start in starts]
     fits = fit_profiles(starts, inclined, pictures, rig, table_z_mm, effort)

@@ -74,10 +74,13 @@ def verify_tops(
     ]
     settled = bench.settled([both for _, both in seen])
     known = [replace(top, fit=both.agreed()) for (top, _), both in zip(seen, settled, strict=True)]
+    tried: list[Array] = []
     for _ in range(_ROUNDS):
         trusted = [top for top in known if top.fit.rms_px <= _TRUSTED_RMS_PX]
         outlines = rising_outlines(relief, explained_polygons(trusted, rig, table_z_mm))
-        more = _rising_tops(outlines, known, left, bench, limits)
+        new = [outline for outline in outlines if not any(np.array_equal(outline, one) for one in tried)]
+        more = _rising_tops(new, known, left, bench, limits)
+        tried += new
         if not more:
             break
         known += more
