@@ -159,7 +159,7 @@ def detours() -> None:
             if validate(problem, [Move(*step) for step in steps]):
                 raise ValueError(problem.id)
             cycles = cycles_between(start, target)
-            costs, for_bound = timed(lambda c=cycles, n=count, g=legs: hole_costs(c, n, g))
+            costs, for_bound = timed(lambda c=cycles, n=count, g=legs, s=start: hole_costs(c, n, g, s))
             nested_mm = travel_mm(steps, legs)
             baseline_mm = travel_mm(one_after_another(cycles, count, start, legs), legs)
             times_s.append(seconds)

@@ -248,9 +248,11 @@ class RelocationPlan:
         status: solved means that moves and travel are both proven least.
         moves: pick and place operations in order.
         travel_mm: straight xy travel home -> pick -> place ... -> home.
-        moves_proven, travel_proven: whether each is proven least.
+        moves_proven, travel_proven: whether each is proven least; where the arm's time is what is to be least, that.
         bound_moves, bound_travel_mm: proven lower bounds.
         reasons: why there is no plan, or why it is not proven; one line per workpiece or cause.
+        time_s, bound_time_s: the arm's time with all legs above everything, and a proven lower bound of that; None
+            where the length is what is to be least.
     """
 
     status: PlanStatus
@@ -261,3 +263,5 @@ class RelocationPlan:
     bound_moves: int
     bound_travel_mm: float
     reasons: tuple[str, ...] = field(default=())
+    time_s: float | None = None
+    bound_time_s: float | None = None

@@ -52,6 +52,8 @@ def plan_json(plan: CellPlan) -> Json:
         "travel_proven": relocation.travel_proven,
         "bound_moves": relocation.bound_moves,
         "bound_travel_mm": round(relocation.bound_travel_mm, 3),
+        "time_s": None if relocation.time_s is None else round(relocation.time_s, 3),
+        "bound_time_s": None if relocation.bound_time_s is None else round(relocation.bound_time_s, 3),
         "reasons": list(relocation.reasons),
         "moves": [
             {

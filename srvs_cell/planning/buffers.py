@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,8 +20,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from srvs_cell.planning.problem import Footprint, Obstacle, Polygon, Problem, ProblemObject
+    from srvs_cell.scene import Move, Point2
 
 Array = NDArray[np.float64]
+
+_GAIN_MM = 1.0
+"""A buffer place that saves less is not worth another plan."""
 
 _CHUNK = 128
 """Candidates that are checked at once, best first: the first free one ends the search."""
@@ -53,6 +58,50 @@ class Workspace:
 
     def __str__(self) -> str:
         return f"x {self.x_min_mm:g} to {self.x_max_mm:g} mm, y {self.y_min_mm:g} to {self.y_max_mm:g} mm"
+
+
+def better_buffer(
+    problem: Problem, moves: Sequence[Move], workspace: Workspace, grid_mm: float, allowed: Allowed | None = None
+) -> Problem | None:
+    """Return the problem with its last buffer place where a plan's ways to it and from it are shortest together.
+
+    The place is clear for every object that stands wrongly or is brought there, whatever slot any other stands on by
+    then. The plan stays valid; planned anew it may get shorter still.
+
+    Args:
+        problem: a problem whose last place is a buffer place that `find_buffer` found.
+        moves: a plan of it.
+        workspace: box that the whole footprint of a buffered object stays in.
+        grid_mm: distance of the points that are looked at.
+        allowed: where each object can be picked and put down; None: everywhere in the workspace.
+
+    Returns:
+        None where the plan does not use that place, or no other point of the grid is nearer.
+    """
+    last = problem.places[-1]
+    points = {place.id: (place.x_mm, place.y_mm) for place in problem.places}
+    hand: list[Point2] = [problem.home_mm]
+    for move in moves:
+        hand += [points[move.from_place], points[move.to_place]]
+    hand.append(problem.home_mm)
+    here = points[last.id]
+    partners = [b for a, b in pairwise(hand) if a == here != b] + [a for a, b in pairwise(hand) if b == here != a]
+    if not partners:
+        return None
+    wrong = goal_rule(problem).misplaced(tuple(item.start for item in problem.objects))
+    moving = {*wrong, *(move.object for move in moves if move.to_place == last.id)}
+    movers = [item for item in problem.objects if item.id in moving]
+    candidates = _grid(workspace, grid_mm)
+    ways_mm = np.linalg.norm(candidates[:, None, :] - np.array(partners)[None, :, :], axis=-1).sum(axis=1)
+    nearer = ways_mm < sum(math.dist(here, partner) for partner in partners) - _GAIN_MM
+    candidates, ways_mm = candidates[nearer], ways_mm[nearer]
+    elsewhere = replace(problem, places=problem.places[:-1])
+    everywhere = [place.id for place in elsewhere.places if place.kind is not PlaceKind.BIN]
+    standings = [_Standing(item, _points(elsewhere, everywhere)) for item in problem.objects]
+    best = _first_clear(candidates[np.argsort(ways_mm)], movers, standings, problem, workspace, allowed)
+    if best is None:
+        return None
+    return replace(problem, places=(*elsewhere.places, replace(last, x_mm=float(best[0]), y_mm=float(best[1]))))
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ def nested_detours(start: Arrangement, target: Arrangement, free: Iterable[int],
     rounds = cycles_between(start, target)
     if not rounds:
         return ()
-    builder = _Builder(rounds, legs)
+    builder = _Builder(rounds, legs, start)
     walks = [builder.improved(walk) for place in free for walk in builder.built(place)]
     best = min(walks, key=builder.length_mm)
     return steps_of_walk(best.places[1:-1].tolist(), start)
@@ -117,13 +117,17 @@ def steps_of_walk(places: Sequence[int], start: Arrangement) -> tuple[Step, ...]
 class _Builder:
     """Builds and improves walks over given cycles."""
 
-    def __init__(self, cycles: list[tuple[int, ...]], legs: Distances) -> None:
+    def __init__(self, cycles: list[tuple[int, ...]], legs: Distances, start: Arrangement) -> None:
         self._cycles = [np.array(places) for places in cycles]
         # One more row and column for home, which `HOME` = -1 indexes.
         count = len(legs.home_mm)
         self._mm = np.zeros((count + 1, count + 1))
         self._mm[:count, :count] = legs.between_mm
         self._mm[:count, count] = self._mm[count, :count] = legs.home_mm
+        # A cycle's first mover is the only one of its objects that is moved twice.
+        self._again_mm = np.zeros(count + 1)
+        for item, place in enumerate(start):
+            self._again_mm[place] = legs.handling_of_mm(item)
         columns = [[np.roll(places, -shift) for places in self._cycles] for shift in (0, 1, -2, -1)]
         first, second, last_but_one, last = (np.concatenate(parts) for parts in columns)
         number = np.repeat(np.arange(len(cycles)), [len(places) for places in cycles])
@@ -131,12 +135,19 @@ class _Builder:
         skip_mm = self._mm[first, np.concatenate([np.roll(places, -2) for places in self._cycles])]
         round_mm = (np.bincount(number, step_mm) + np.bincount(number, skip_mm))[number]
         closing_mm = self._mm[last, first] + self._mm[last_but_one, first] + self._mm[last, second]
-        self._entries = _Entries(number, first, second, last_but_one, last, round_mm - closing_mm)
+        self._entries = _Entries(
+            number, first, second, last_but_one, last, round_mm - closing_mm + self._again_mm[first]
+        )
 
     def length_mm(self, walk: _Walk) -> float:
-        """Return the travel of a walk: loaded legs between neighbours, empty legs between next neighbours."""
+        """Return the travel of a walk: loaded legs between neighbours, empty legs between next neighbours.
+
+        What every object's only or last move costs besides its legs is the same for every walk and left out.
+        """
         places = walk.places
-        return float(self._mm[places[1:-2], places[2:-1]].sum() + self._mm[places[:-2], places[2:]].sum())
+        numbers, entered = np.unique(walk.cycles, return_index=True)
+        again_mm = self._again_mm[places[entered[numbers != _UNWINDING]]].sum()
+        return float(self._mm[places[1:-2], places[2:-1]].sum() + self._mm[places[:-2], places[2:]].sum() + again_mm)
 
     def built(self, free_place: int) -> list[_Walk]:
         """Return walks by cheapest insertion: one, and while objects are few one for each that could move first."""

@@ -52,11 +52,11 @@ def shortest_walk(costs: HoleCosts, most_mm: float, max_looks: int) -> HoleWalk:
     """
     moves = _Moves(costs)
     first = _State(0, (), len(costs.places) - 1, len(costs.places))
-    length_mm = {first: 0.0}
+    length_mm = {first: costs.once_mm}
     came_from: dict[_State, _State] = {}
     closed: set[_State] = set()
     order = count()
-    queue = [(costs.bound_mm, 0, first, costs.bound_mm)]
+    queue = [(costs.bound_mm, 0, first, costs.bound_mm - costs.once_mm)]
     bound_mm, looks = costs.bound_mm, 0
     most_mm *= 1.0 + 1e-12
     while queue:
@@ -90,6 +90,8 @@ class _Moves:
         self._pick: list[float] = costs.pick_mm.tolist()
         self._put: list[float] = costs.put_mm.tolist()
         self._opening: list[float] = costs.opening_mm.tolist()
+        self._again: list[float] = costs.again_mm.tolist()
+        self._least_again: list[float] = costs.least_again_mm.tolist()
         self._along_mm = costs.along_mm
         self._cycles = costs.cycles
         self._comes_from, self._goes_to = costs.comes_from, costs.goes_to
@@ -128,8 +130,8 @@ class _Moves:
                 successor = _State(entered | 1 << number, (*open_detours, (hole, entry)), entry, hole)
                 goal = self._goes_to[entry]
                 used_mm = between[entry][goal] + self._opening[number] - to_hole[goal] - pick[hole] - put[hole]
-                used_mm += put[hand] + pick[entry] + self._along(state, successor)
-                found.append((successor, to_pick[entry] + to_hole[entry], used_mm))
+                used_mm += put[hand] + pick[entry] + self._along(state, successor) + self._least_again[number]
+                found.append((successor, to_pick[entry] + to_hole[entry] + self._again[entry], used_mm))
         return found
 
     def _along(self, state: _State, successor: _State) -> float:

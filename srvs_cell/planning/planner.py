@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from srvs_cell.planning.clearance import conflict_table
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from srvs_cell.planning.goals import GoalRule
     from srvs_cell.planning.moves import Arrangement, Step
     from srvs_cell.planning.problem import Problem
+    from srvs_cell.planning.timing import Timing
     from srvs_cell.planning.travel import Distances
 
 GREEDY_WEIGHT = 3.0
@@ -36,19 +38,36 @@ _MOST_IN_SEARCH = 9
 _MANY_OBJECTS = f"the least travel is not searched for with more than {_MOST_IN_SEARCH} objects in each other's way"
 
 
-def plan(problem: Problem, limits: SearchLimits | None = None) -> RelocationPlan:
+def plan(problem: Problem, limits: SearchLimits | None = None, timing: Timing | None = None) -> RelocationPlan:
     """Plan a relocation: the fewest moves, and among those plans the least travel.
 
     Args:
         problem: what to do.
         limits: caps of the search; where one is hit the answer is labelled not proven and carries the bounds.
+        timing: the arm's time, which then is what is least; None: the straight way.
 
     Returns:
         the plan. ``infeasible`` means that every arrangement that can be reached was looked at; ``reasons`` then names
         the cause for each object. ``not_proven`` without moves means that no plan was found within the caps.
     """
     limits = limits or SearchLimits()
-    rule, legs = goal_rule(problem), distances(problem)
+    if timing is None:
+        return _plan(problem, limits, distances(problem))
+    answer = _plan(problem, limits, timing.distances(problem))
+    straight = distances(problem)
+    steps = tuple((move.object, move.from_place, move.to_place) for move in answer.moves)
+    start = tuple(item.start for item in problem.objects)
+    return replace(
+        answer,
+        travel_mm=travel_mm(steps, straight),
+        bound_travel_mm=_travel_bound_mm(start, goal_rule(problem), straight),
+        time_s=answer.travel_mm / timing.speed_mm_s,
+        bound_time_s=answer.bound_travel_mm / timing.speed_mm_s,
+    )
+
+
+def _plan(problem: Problem, limits: SearchLimits, legs: Distances) -> RelocationPlan:
+    rule = goal_rule(problem)
     start = tuple(item.start for item in problem.objects)
     target = rule.labelled
     changing_places = target is not None and start != target and set(start) == set(target)
@@ -124,7 +143,7 @@ def _permutation(
     found_mm = travel_mm(steps, legs)
     shorter: tuple[Step, ...] | None = None
     if len(free) == 1:
-        costs = hole_costs(cycles_between(start, target), free[0], legs)
+        costs = hole_costs(cycles_between(start, target), free[0], legs, start)
         walk = shortest_walk(costs, found_mm, limits.max_travel_search)
         bound_mm = walk.bound_mm
         if walk.places is not None:
@@ -188,6 +207,7 @@ def _travel_bound_mm(start: Arrangement, rule: GoalRule, legs: Distances) -> flo
     for item in wrong:
         origin = start[item]
         parts += [
+            legs.handling_of_mm(item),
             min((legs.between_mm[origin][place] for place in places if rule.allowed[item] >> place & 1), default=0.0),
             min([legs.home_mm[origin], *(legs.between_mm[place][origin] for place in places if place != origin)]),
         ]

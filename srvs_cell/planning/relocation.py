@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.planning.access import Access
+from srvs_cell.planning.buffers import better_buffer
 from srvs_cell.planning.legs import LegTops, leg_tops, tallest_mm
 from srvs_cell.planning.planner import has_plan, plan
 from srvs_cell.planning.rules import make_rule
-from srvs_cell.planning.table import TableProblem, table_problem
+from srvs_cell.planning.table import TableProblem, accessible, table_problem, with_access
+from srvs_cell.planning.timing import cell_timing
 from srvs_cell.planning.validator import validate, validate_legs
 from srvs_cell.scene import PlaceKind, PlanStatus, Point2, RelocationPlan
 
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
     from srvs_cell.planning.problem import Problem
     from srvs_cell.planning.rules import Rule
     from srvs_cell.scene import Move, Workpiece
+
+
+_MOST_BUFFERS_TRIED = 4
+"""Places tried for the buffer after the first: each costs a plan."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +123,7 @@ def plan_relocation(
         ):
             raise _too_uncertain((error.detail.rstrip("."),), ()) from error
         raise
-    answer = plan(table.problem, parameters.limits)
+    answer = _planned(table, workpieces, parameters, hand)
     found = sum(place.kind is PlaceKind.BUFFER for place in table.problem.places)
     if found and not parameters.buffer_places_mm:
         for buffers in range(found + 1, parameters.max_found_buffers + 1):
@@ -129,7 +135,7 @@ def plan_relocation(
                 # One place was found before, so that "infeasible" and its reasons say more than the alarm would.
                 answer = replace(answer, reasons=(*answer.reasons, f"no further buffer place: {error.detail}"))
                 break
-            table, answer = wider, plan(wider.problem, parameters.limits)
+            table, answer = wider, _planned(wider, workpieces, parameters, hand)
     if answer.status is PlanStatus.INFEASIBLE and _is_solvable_if_exact(
         workpieces, parameters, workspace, found, rule, hand
     ):
@@ -138,6 +144,49 @@ def plan_relocation(
     if hand is not None:
         _check_ways(made, workpieces, hand, Access(hand, parameters.arm, workspace))
     return made
+
+
+def _planned(
+    table: TableProblem, workpieces: Sequence[Workpiece], parameters: PlanningParameters, hand: HandMotion | None
+) -> RelocationPlan:
+    """Plan for what the config wants to be least."""
+    if hand is None or parameters.objective != "time":
+        return plan(table.problem, parameters.limits)
+    by_id = {workpiece.id: workpiece for workpiece in workpieces}
+    movable = [by_id[identifier] for identifier in table.workpieces]
+    return plan(table.problem, parameters.limits, cell_timing(table.problem, movable, hand, parameters))
+
+
+def _with_better_buffer(
+    table: TableProblem,
+    answer: RelocationPlan,
+    workpieces: Sequence[Workpiece],
+    parameters: PlanningParameters,
+    workspace: Workspace,
+    hand: HandMotion | None,
+) -> tuple[TableProblem, RelocationPlan]:
+    """Move the buffer place that was found to where the plan's ways are shortest, and plan anew, while that helps."""
+    by_id = {workpiece.id: workpiece for workpiece in workpieces}
+    movable = [by_id[identifier] for identifier in table.workpieces]
+    access = None if hand is None else Access(hand, parameters.arm, workspace)
+    for _ in range(_MOST_BUFFERS_TRIED):
+        if table.problem.places[-1].kind is not PlaceKind.BUFFER:
+            break
+        moved = better_buffer(
+            table.problem, answer.moves, workspace, parameters.buffer_grid_mm, accessible(movable, access)
+        )
+        if moved is None:
+            break
+        trial = replace(table, problem=with_access(moved, movable, access))
+        shorter = _planned(trial, workpieces, parameters, hand)
+        if not shorter.moves or _cost(shorter) >= _cost(answer):
+            break
+        table, answer = trial, shorter
+    return table, answer
+
+
+def _cost(answer: RelocationPlan) -> tuple[int, float]:
+    return len(answer.moves), answer.travel_mm if answer.time_s is None else answer.time_s
 
 
 def _too_uncertain(reasons: tuple[str, ...], notes: tuple[str, ...]) -> AlarmError:

@@ -28,10 +28,21 @@ HOME = -1
 
 @dataclass(frozen=True)
 class Distances:
-    """Straight distances between places, and from home (`HOME`)."""
+    """What legs cost: straight distances, or times as the lengths that are gone in them at travel speed.
+
+    Attributes:
+        between_mm: from place to place.
+        home_mm: from home (`HOME`) to each place.
+        handling_mm: per object, what each of its moves costs besides its legs; empty: nothing.
+    """
 
     between_mm: tuple[tuple[float, ...], ...]
     home_mm: tuple[float, ...]
+    handling_mm: tuple[float, ...] = ()
+
+    def handling_of_mm(self, item: int) -> float:
+        """Return what each move of an object costs besides its legs."""
+        return self.handling_mm[item] if self.handling_mm else 0.0
 
     def leg_mm(self, origin: int, target: int) -> float:
         """Return the length of the leg from a place or `HOME` to a place."""
@@ -50,8 +61,8 @@ def distances(problem: Problem) -> Distances:
 def travel_mm(steps: tuple[Step, ...], legs: Distances) -> float:
     """Return home -> pick -> place ... -> home of a plan; 0 without moves."""
     hand, total_mm = HOME, 0.0
-    for _, origin, target in steps:
-        total_mm += legs.leg_mm(hand, origin) + legs.between_mm[origin][target]
+    for item, origin, target in steps:
+        total_mm += legs.leg_mm(hand, origin) + legs.between_mm[origin][target] + legs.handling_of_mm(item)
         hand = target
     return total_mm + (0.0 if hand == HOME else legs.home_mm[hand])
 
@@ -111,9 +122,10 @@ def least_travel(
         closed.add(node)
         so_far_mm = cost_mm[node]
         for step, successor in successors.of(node.arrangement, node.depth):
-            _, pick, target = step
+            item, pick, target = step
             following = _Node(successor, target, node.depth + 1)
-            total_mm = so_far_mm + legs.leg_mm(node.hand, pick) + legs.between_mm[pick][target]
+            move_mm = legs.leg_mm(node.hand, pick) + legs.between_mm[pick][target] + legs.handling_of_mm(item)
+            total_mm = so_far_mm + move_mm
             if total_mm < cost_mm.get(following, math.inf):
                 cost_mm[following] = total_mm
                 came_from[following] = (node, step)
@@ -149,8 +161,11 @@ class _Successors:
         places = range(table.place_count)
         self._nearest_mm = [min([legs.home_mm[p], *(legs.between_mm[q][p] for q in places if q != p)]) for p in places]
         self._to_goal_mm = [
-            [min((legs.between_mm[p][q] for q in places if mask >> q & 1), default=0.0) for p in places]
-            for mask in rule.allowed
+            [
+                legs.handling_of_mm(item) + min((legs.between_mm[p][q] for q in places if mask >> q & 1), default=0.0)
+                for p in places
+            ]
+            for item, mask in enumerate(rule.allowed)
         ]
         self._home_mm = legs.home_mm
         self._shortest_home_mm = min(legs.home_mm)

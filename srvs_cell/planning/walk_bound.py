@@ -18,6 +18,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 if TYPE_CHECKING:
+    from srvs_cell.planning.moves import Arrangement
     from srvs_cell.planning.travel import Distances
 
 Array = NDArray[np.float64]
@@ -44,6 +45,9 @@ class HoleCosts:
         pick_mm, put_mm: prices of an empty leg's end and beginning at a place, or at home.
         along_mm: price on a leg that leads on within a cycle.
         opening_mm: per cycle, price of carrying its first mover to another cycle's hole instead of to its goal.
+        again_mm: per place of the cycles, what it costs besides the legs to move the object there a second time.
+        least_again_mm: per cycle, the least of them.
+        once_mm: what it costs besides the legs to move every object once.
         bound_mm: lower bound on the travel of every plan with the fewest moves.
     """
 
@@ -56,16 +60,20 @@ class HoleCosts:
     put_mm: Array
     along_mm: float
     opening_mm: Array
+    again_mm: Array
+    least_again_mm: Array
+    once_mm: float
     bound_mm: float
 
 
-def hole_costs(cycles: list[tuple[int, ...]], free_place: int, legs: Distances) -> HoleCosts:
+def hole_costs(cycles: list[tuple[int, ...]], free_place: int, legs: Distances, start: Arrangement) -> HoleCosts:
     """Compute prices and bound.
 
     Args:
         cycles: places of the cycles; behind each place the place from which its object comes.
         free_place: the one place that is free.
         legs: distances.
+        start: place per object.
     """
     places = [place for cycle in cycles for place in cycle] + [free_place]
     count = len(places) - 1
@@ -87,6 +95,9 @@ def hole_costs(cycles: list[tuple[int, ...]], free_place: int, legs: Distances) 
     # The programme saw the nearest places only: these prices hold for every leg.
     pick_mm = np.min(empty_mm - along_mm * along - put_mm[:, None], axis=0)
     opening_mm = np.min(detour_mm + pick_mm[:-1] + put_mm[:-1], axis=1)
+    stands_on = {place: item for item, place in enumerate(start)}
+    again_mm = np.array([legs.handling_of_mm(stands_on[place]) for place in places[:-1]])
+    least_again_mm = np.array([again_mm[numbers[:-1] == number].min() for number in range(len(cycles))])
     known = np.arange(count + 2) != count
     bound_mm = (
         pick_mm[known].sum()
@@ -94,6 +105,8 @@ def hole_costs(cycles: list[tuple[int, ...]], free_place: int, legs: Distances) 
         + opening_mm.sum()
         + along_mm * least_along
         + between[np.arange(count), goes_to].sum()
+        + again_mm.sum()
+        + least_again_mm.sum()
     )
     return HoleCosts(
         tuple(places),
@@ -105,6 +118,9 @@ def hole_costs(cycles: list[tuple[int, ...]], free_place: int, legs: Distances) 
         put_mm,
         along_mm,
         opening_mm,
+        again_mm,
+        least_again_mm,
+        float(again_mm.sum()),
         float(bound_mm),
     )
 

@@ -30,7 +30,7 @@ def test_the_walk_is_as_short_as_the_search_over_arrangements_finds(count: int, 
     if not cycles:
         return
     legs, rule = distances(problem), goal_rule(problem)
-    costs = hole_costs(cycles, count, legs)
+    costs = hole_costs(cycles, count, legs, start)
     walk = shortest_walk(costs, float("inf"), 100_000)
     assert walk.places is not None
     steps = steps_of_walk(walk.places, start)
@@ -45,7 +45,7 @@ def test_the_walk_is_as_short_as_the_search_over_arrangements_finds(count: int, 
 def test_the_bound_of_a_search_that_ends_early_is_below_the_shortest_walk(seed: int) -> None:
     problem = scattered(9, seed)
     start, target = _start_and_target(problem)
-    costs = hole_costs(cycles_between(start, target), 9, distances(problem))
+    costs = hole_costs(cycles_between(start, target), 9, distances(problem), start)
     whole = shortest_walk(costs, float("inf"), 1_000_000)
     for looks in (1, 30, 200):
         part = shortest_walk(costs, float("inf"), looks)

@@ -1,5 +1,6 @@
 """The cell's own problem: slots from perceived workpieces, ties, obstacles, fingers, a buffer place found."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -207,3 +208,21 @@ def test_fingers_need_the_room_from_closed_to_open(fingers: FingerGeometry, oute
     assert grip.inner_mm == 15.0
     assert grip.inner_mm + grip.thick_mm == outer_mm
     assert grip.yaw_deg == 90.0
+
+
+def test_the_found_buffer_place_is_where_the_whole_plan_is_shortest() -> None:
+    parts = [workpiece(i, (400.0 + 70.0 * i, (-1) ** i * 100.0), 20.0 + 10.0 * i) for i in range(4)]
+    answer = plan_relocation(parts, PARAMETERS, WORKSPACE)
+    (found_mm,) = answer.buffers_mm
+    first = table_problem(parts, PARAMETERS, WORKSPACE).problem
+    as_found = plan_relocation(
+        parts,
+        dataclasses.replace(PARAMETERS, buffer_places_mm=((first.places[-1].x_mm, first.places[-1].y_mm),)),
+        WORKSPACE,
+    )
+    assert answer.relocation.travel_mm <= as_found.relocation.travel_mm
+    around = [(found_mm[0] + dx, found_mm[1] + dy) for dx in (-50.0, 0.0, 50.0) for dy in (-50.0, 0.0, 50.0)]
+    for point in around:
+        other = plan_relocation(parts, dataclasses.replace(PARAMETERS, buffer_places_mm=(point,)), WORKSPACE)
+        if other.relocation.moves and len(other.moves) == len(answer.moves):
+            assert answer.relocation.travel_mm <= other.relocation.travel_mm * 1.05
