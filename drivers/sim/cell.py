@@ -13,15 +13,15 @@ import signal
 import sys
 import tempfile
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
-    from drivers.sim.simulation import SimulationParameters
+    from drivers.sim.simulation import Simulation, SimulationParameters
 
 _LOG: Final = logging.getLogger("srvs_cell.sim")
 _LEVELS: Final = ("none", "real")
@@ -46,6 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--speed", type=float, default=20.0, help="how much faster than life while the daemon waits")
     parser.add_argument("--imperfections", choices=_LEVELS, default="real", help="a perfect cell or a real one")
     parser.add_argument("--modbus-port", type=int, default=0, help="0 takes a free one")
+    parser.add_argument("--robotiq", type=Path, default=None, help="where to link the serial port of a Robotiq gripper")
     parser.add_argument("--calibration-out", type=Path, default=None, help="where to write the calibration file")
     parser.add_argument("--clock-page", type=Path, default=None, help="where to make the clock page")
     parser.add_argument("--ties", action="store_true", help="two parts have the same height")
@@ -104,6 +105,8 @@ def _run(parameters: SimulationParameters, arguments: argparse.Namespace) -> int
             "calibration": str(calibration_path),
             **simulation.layout(),
         }
+        if arguments.robotiq is not None:
+            line["robotiq"] = str(stack.enter_context(_robotiq(simulation, arguments.robotiq)))
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: ended.set())
         _end_with_stdin(ended)
@@ -115,6 +118,25 @@ def _run(parameters: SimulationParameters, arguments: argparse.Namespace) -> int
                 _LOG.error("The physics has failed: %r", simulation.time.failure)
                 return _EXIT_FAILED
     return 0
+
+
+@contextmanager
+def _robotiq(simulation: Simulation, link: Path) -> Iterator[Path]:
+    """Let the world's jaws be a Robotiq gripper on a pseudo-terminal, to which ``link`` leads meanwhile."""
+    from drivers.sim.robotiq_double import RobotiqDouble  # noqa: PLC0415 - see `_serve`
+    from drivers.sim.robotiq_fingers import WorldFingers  # noqa: PLC0415
+
+    world, time = simulation.world, simulation.time
+    fingers = WorldFingers(world, time.lock, world.gripper.max_opening_mm)
+    gripper = RobotiqDouble(fingers, time.now_s, hold=time.hold)
+    if link.is_symlink():  # an earlier cell that was killed has left it
+        link.unlink()
+    link.symlink_to(gripper.start())
+    try:
+        yield link.absolute()
+    finally:
+        link.unlink(missing_ok=True)
+        gripper.close()
 
 
 def _end_with_stdin(ended: threading.Event) -> None:

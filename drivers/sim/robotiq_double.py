@@ -1,19 +1,23 @@
 """A Robotiq 2F gripper behind a pseudo-terminal, as a PC sees it through its USB to RS-485 converter.
 
 Written from the instruction manual of the 2F-85 & 2F-140 (sections 4 and 4.7), with its own framing and checksum; it
-shares no code with the driver that talks to it. The fingers move in the time of ``now_s``; the wire is real.
+shares no code with the driver that talks to it. Its motor works in simulated time; the wire is real.
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from drivers.sim.robotiq_fingers import ENDS, FASTEST, SLOWEST, Contact
 from drivers.sim.rtu_line import RtuLine
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from contextlib import AbstractContextManager
+
+    from drivers.sim.robotiq_fingers import Fingers
 
 _OUTPUTS, _INPUTS = 0x03E8, 0x07D0
 _WORDS: Final = 3
@@ -21,56 +25,44 @@ _READ_WORDS, _READ_INPUTS, _WRITE_WORDS, _READ_WRITE = 3, 4, 16, 23
 _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS = 1, 2
 _ACT, _GTO, _ATR, _ARD = 0x01, 0x08, 0x10, 0x20
 _RESET, _ACTIVATING, _ACTIVE = 0, 1, 3
-_MOVING, _WHILE_OPENING, _WHILE_CLOSING, _ARRIVED = 0, 1, 2, 3
 _EARLY, _NOT_ACTIVATED, _UNHEARD = 0x05, 0x07, 0x09
 _RELEASING, _ACTIVATION_FAILED, _RELEASED = 0x0B, 0x0D, 0x0F
 _UNHEARD_S: Final = 1.0
 _RELEASE_S: Final = 3.0
-_SLOWEST, _FASTEST = 60.0, 450.0  # counts per second: 20 and 150 mm/s of a 2F-85
 _MOTION_CURRENT, _GRIP_CURRENT = 16, 1
 _COUNTS: Final = 255
-
-
-@dataclass
-class _Way:
-    """The fingers' motion: from a position, towards one, since when, how fast in counts per second."""
-
-    start: float = 3.0
-    target: float = 3.0
-    begun_s: float = 0.0
-    speed: float = _FASTEST
-
-    def at(self, now_s: float) -> float:
-        gone = (now_s - self.begun_s) * self.speed
-        span = self.target - self.start
-        return self.target if gone >= abs(span) else self.start + (gone if span > 0 else -gone)
 
 
 class RobotiqDouble:
     """The gripper.
 
+    Args:
+        fingers: what its motor moves.
+        now_s: the time in which it works.
+        device_id: its Modbus address.
+        hold: lets simulated time stand still while a request is answered.
+
     Attributes:
-        part_at: position in counts at which closing fingers meet a part; None where there is none.
-        jam_at: position at which opening fingers are stopped; None where they are not.
-        stuck: the fingers do not move and the gripper goes on saying that they do.
-        ends: positions at which open and closed fingers stand.
         activation_takes_s: how long an activation lasts.
         activation_fails: the next activations end in fault 0x0D.
         fault_code: a fault that is reported until the next reset.
+        commands: rACT and its neighbours, rPR, rSP, rFR of every write, in order.
         line: the wire, with its faults.
     """
 
-    def __init__(self, now_s: Callable[[], float], device_id: int = 9) -> None:
-        self.part_at: int | None = None
-        self.jam_at: int | None = None
-        self.stuck = False
-        self.ends = (3, 230)
+    def __init__(
+        self,
+        fingers: Fingers,
+        now_s: Callable[[], float],
+        device_id: int = 9,
+        hold: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
+    ) -> None:
         self.activation_takes_s = 2.0
         self.activation_fails = False
         self.fault_code = 0
         self.commands: list[tuple[int, int, int, int]] = []
         self.line = RtuLine(self._answer, device_id)
-        self._now_s = now_s
+        self._fingers, self._now_s, self._hold = fingers, now_s, hold
         self._lock = threading.RLock()
         self._outputs = [0] * _WORDS
         self._action = 0
@@ -78,14 +70,7 @@ class RobotiqDouble:
         self._activated_at_s: float | None = None
         self._released_at_s: float | None = None
         self._failing = False
-        self._way = _Way()
         self._heard_at_s = now_s()
-
-    @property
-    def position(self) -> int:
-        """Where the fingers are, in counts."""
-        with self._lock:
-            return round(self._way.at(self._now_s()))
 
     def start(self) -> str:
         """Open the pseudo-terminal; return the path of the end that a PC opens."""
@@ -99,28 +84,15 @@ class RobotiqDouble:
         """Be as a gripper that was activated and opened long ago."""
         with self._lock:
             self._action, self._activated_at_s = _ACT | _GTO, self._now_s() - 2.0 * self.activation_takes_s
-            self._request, self._way = 0, _Way()
+            self._request = 0
 
     def lose_power(self) -> None:
         """Be without power for a moment: activation and commands are forgotten, the fingers stay where they are."""
         with self._lock:
-            stands = self._way.at(self._now_s())
-            self._way = _Way(stands, stands)
+            self._fingers.stand()
             self._outputs = [0] * _WORDS
             self._action = self._request = self.fault_code = 0
             self._activated_at_s = self._released_at_s = None
-
-    def lose_part(self) -> None:
-        """Let the part slip out: the fingers go on to the position that was asked for."""
-        with self._lock:
-            self.part_at = None
-            self._go(self._target(), self._way.speed)
-
-    def slip_to(self, position: int) -> None:
-        """Let the part turn between the fingers, which follow it to another position."""
-        with self._lock:
-            self.part_at = position
-            self._go(position, self._way.speed)
 
     def _activation(self) -> int:
         if not self._action & _ACT or self._activated_at_s is None:
@@ -142,28 +114,6 @@ class RobotiqDouble:
             return _EARLY if self._action & _ACT else _NOT_ACTIVATED
         return 0
 
-    def _target(self) -> float:
-        """Where the fingers end: at what was asked for, at their stops, at a part, at what jams them."""
-        lowest, highest = self.ends
-        target, here = float(min(max(self._request, lowest), highest)), self._way.at(self._now_s())
-        if self.part_at is not None and here <= self.part_at < target:
-            return float(self.part_at)
-        if self.jam_at is not None and target < self.jam_at <= here:
-            return float(self.jam_at)
-        return target
-
-    def _contact(self) -> int:
-        if self._way.at(self._now_s()) != self._way.target or self.stuck:
-            return _MOVING
-        asked = min(max(self._request, self.ends[0]), self.ends[1])
-        if self._way.target == asked:
-            return _ARRIVED
-        return _WHILE_CLOSING if asked > self._way.target else _WHILE_OPENING
-
-    def _go(self, target: float, speed: float) -> None:
-        now_s = self._now_s()
-        self._way = _Way(self._way.at(now_s), target, now_s, speed)
-
     def _command(self, words: list[int]) -> None:
         """Take the three output words; a real gripper acts on them at once."""
         action, request, speed, force = words[0] >> 8, words[1] & 0xFF, words[2] >> 8, words[2] & 0xFF
@@ -176,29 +126,28 @@ class RobotiqDouble:
         if rises:
             self._failing = self.activation_fails
             self._activated_at_s = self._now_s()
-            self._go(float(self.ends[0]), _FASTEST)
+            self._fingers.go(ENDS[0], FASTEST)
         if action & _ATR and self._released_at_s is None and self._activation() == _ACTIVE:
             self._released_at_s = self._now_s()
-            self._go(float(self.ends[0 if action & _ARD else 1]), _SLOWEST)
+            self._fingers.go(ENDS[0] if action & _ARD else ENDS[1], SLOWEST)
         elif action & _GTO and self._activation() == _ACTIVE and not self._fault():
             self._request = request
-            if not self.stuck:
-                self._go(self._target(), _SLOWEST + (_FASTEST - _SLOWEST) * speed / _COUNTS)
+            self._fingers.go(request, SLOWEST + (FASTEST - SLOWEST) * speed / _COUNTS)
 
     def _inputs(self) -> list[int]:
         activation, going = self._activation(), bool(self._action & _GTO)
-        contact = self._contact() if activation == _ACTIVE and going else 0
+        contact = self._fingers.contact() if activation == _ACTIVE and going else Contact.MOVING
         state = (self._action & _ACT) | (_GTO if going else 0) | activation << 4 | contact << 6
         fault = self._fault()
         if not fault and self._now_s() - self._heard_at_s > _UNHEARD_S:
             fault = _UNHEARD
-        moving = contact == _MOVING and activation == _ACTIVE and going
-        current = _MOTION_CURRENT if moving else _GRIP_CURRENT if contact == _WHILE_CLOSING else 0
-        return [state << 8, fault << 8 | self._request, self.position << 8 | current]
+        moving = contact is Contact.MOVING and activation == _ACTIVE and going
+        current = _MOTION_CURRENT if moving else _GRIP_CURRENT if contact is Contact.WHILE_CLOSING else 0
+        return [state << 8, fault << 8 | self._request, round(self._fingers.position) << 8 | current]
 
     def _answer(self, pdu: bytes) -> bytes:
         """Carry out a request; return the answer, or an exception."""
-        with self._lock:
+        with self._hold(), self._lock:
             function = pdu[0]
             if function in {_READ_WORDS, _READ_INPUTS}:
                 answer = self._read(pdu)

@@ -28,6 +28,10 @@ def sim(
     modbus_port: Annotated[
         int, typer.Option("--modbus-port", min=0, max=_LAST_PORT, help="Port of the controller; 0: any free one.")
     ] = 0,
+    robotiq: Annotated[
+        Path | None,
+        typer.Option("--robotiq", metavar="PTY", help="Let the gripper be a Robotiq; its serial port is linked there."),
+    ] = None,
     clock_page: Annotated[
         Path | None, typer.Option("--clock-page", help="Make the clock page there, for a daemon's devices.clock.path.")
     ] = None,
@@ -46,7 +50,7 @@ def sim(
         calibration_out = folder / CALIBRATION_FILE
     arguments = ["--objects", str(objects), "--seed", str(seed), "--speed", str(speed)]
     arguments += ["--imperfections", imperfections, "--modbus-port", str(modbus_port)]
-    for option, path in (("--clock-page", clock_page), ("--calibration-out", calibration_out)):
+    for option, path in (("--clock-page", clock_page), ("--calibration-out", calibration_out), ("--robotiq", robotiq)):
         if path is not None:
             arguments += [option, str(path)]
     process, listens = start_simulator(arguments)

@@ -182,5 +182,9 @@ def write_config(path: Path, listening: Mapping[str, Any], service: Mapping[str,
     config["devices"]["clock"]["path"] = listening["clock_page"]
     config["devices"]["camera"]["port"] = listening["camera_port"]
     config["devices"]["arm"]["port"] = listening["modbus_port"]
+    if "robotiq" in listening:
+        stroke = [[3, listening["gripper"]["max_opening_mm"]], [230, 0.0]]
+        gripper = {"driver": "robotiq", "port": listening["robotiq"], "stroke": stroke, "answer_timeout_s": 5.0}
+        config["devices"]["gripper"] = gripper
     config["service"] |= service
     path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")

@@ -211,9 +211,7 @@ def _asked(daemon: Mapping[str, Any]) -> list[Examined]:
     """Return what the daemon says of itself and of the devices that it holds."""
     state = f"{daemon['state']}, {daemon['mode']}{', SIMULATION' if daemon['simulation'] else ''}"
     found = [Examined("daemon", Finding.fine("answer", f"it runs ({state}) and holds the devices"))]
-    for one in daemon["alarms"]:
-        error = AlarmError(Alarm.from_code(one["code"]), one["detail"])
-        found.append(Examined("daemon", Finding.failed("alarm", error)))
+    found += [Examined("daemon", Finding.failed("alarm", _alarm_of(one))) for one in daemon["alarms"]]
     for name, device in daemon["devices"].items():
         text = f"{device['description']}: {device['lifecycle']}"
         if device["lifecycle"] == "disconnected":
@@ -223,3 +221,12 @@ def _asked(daemon: Mapping[str, Any]) -> list[Examined]:
         else:
             found.append(Examined(name, Finding.fine("daemon", f"{text}; not looked at. {_STOP_FIRST}")))
     return found
+
+
+def _alarm_of(told: Mapping[str, Any]) -> AlarmError:
+    """Return an alarm that the daemon tells of; one of a daemon of another version may not be in this registry."""
+    try:
+        return AlarmError(Alarm.from_code(told["code"]), told["detail"])
+    except KeyError:
+        text = f"{told['code']} {told['name']}: {told['detail']} {told['cause']} {told['remedy']}"
+        return AlarmError(Alarm.INTERNAL_ERROR, text)

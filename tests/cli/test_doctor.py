@@ -19,6 +19,7 @@ import yaml
 
 from drivers.sim.modbus_controller import ModbusController
 from drivers.sim.robotiq_double import RobotiqDouble
+from drivers.sim.robotiq_fingers import ScriptedFingers
 from srvs_cell.cli.main import run
 from srvs_cell.ports import RobotMode
 from tests.cli.test_operate import Daemon
@@ -62,7 +63,7 @@ class Site:
         self.folder = folder
         self.point = PointArm(LifeTime())  # type: ignore[arg-type]  # only the time of day is asked for
         self.controller = ModbusController(self.point, LifeTime())
-        self.gripper = RobotiqDouble(time.monotonic)
+        self.gripper = RobotiqDouble(ScriptedFingers(time.monotonic), time.monotonic)
         self.gripper.make_ready()
         self.devices: dict[str, dict[str, Any]] = {
             "clock": {"driver": "system"},

@@ -13,7 +13,9 @@ import pytest
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cli import simulator
 from srvs_cell.cli.main import run
+from srvs_cell.cli.simulated_cell import write_config
 from srvs_cell.cli.simulator import simulator_failure, start_simulator, stop_simulator
+from srvs_cell.config import load_config
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,10 +64,29 @@ def test_silence_is_bounded_and_leaves_no_process(child: pytest.MonkeyPatch, tmp
 
 def test_sim_passes_options_and_line_through(child: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     child.setenv("CHILD", REPORTS)
-    assert run(["sim", "--objects", "3", "--seed", "7", "--modbus-port", "5020"]) == 0
+    assert run(["sim", "--objects", "3", "--seed", "7", "--modbus-port", "5020", "--robotiq", "pty"]) == 0
     arguments = json.loads(capsys.readouterr().out)["arguments"]
     given = dict(zip(arguments[::2], arguments[1::2], strict=True))
     assert (given["--objects"], given["--seed"], given["--modbus-port"]) == ("3", "7", "5020")
+    assert given["--robotiq"] == "pty"
+
+
+def test_the_config_beside_a_simulated_cell_takes_the_gripper_that_listens(tmp_path: Path) -> None:
+    listening: dict[str, object] = {
+        "observe_pose": [675.0, 15.0, 410.0, 180.0, 0.0, 0.0],
+        "baseline_mm": 30.0,
+        "table_z_mm": -50.0,
+        "clock_page": str(tmp_path / "clock"),
+        "camera_port": 9101,
+        "modbus_port": 5020,
+        "gripper": {"max_opening_mm": 84.0},
+    }
+    write_config(tmp_path / "cell.yaml", listening, {})
+    assert load_config(tmp_path / "cell.yaml").devices.gripper.driver == "robot_io"
+    write_config(tmp_path / "cell.yaml", {**listening, "robotiq": str(tmp_path / "gripper")}, {})
+    gripper = load_config(tmp_path / "cell.yaml").devices.gripper
+    assert gripper.driver == "robotiq"
+    assert gripper.settings.model_dump()["stroke"] == ((3, 84.0), (230, 0.0))
 
 
 def test_sim_that_dies_is_an_alarm(child: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -102,3 +102,11 @@ def test_a_remedy_of_its_own_stands_before_the_registrys() -> None:
     assert own.remedy == own.as_json()["remedy"] == "Do this."
     assert "[1003 CONNECTION_LOST]" in own.line
     assert Examined("arm", Finding.fine("a", "b")).line == "ok       arm, a: b"
+
+
+def test_an_alarm_of_a_daemon_of_another_version_is_shown_as_it_is() -> None:
+    told = {"code": 9999, "name": "NEW", "detail": "d.", "cause": "c.", "remedy": "r."}
+    assert doctor._alarm_of({**told, "code": 1003}).alarm is Alarm.CONNECTION_LOST
+    unknown = doctor._alarm_of(told)
+    assert unknown.alarm is Alarm.INTERNAL_ERROR
+    assert "9999 NEW: d. c. r." in unknown.detail

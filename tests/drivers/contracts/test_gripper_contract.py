@@ -87,8 +87,8 @@ async def robotiq() -> AsyncIterator[GripperBench]:
         yield GripperBench(
             b.gripper,
             b.clock,
-            lambda: setattr(b.double, "part_at", PART_AT),
-            lambda: setattr(b.double, "stuck", True),
+            lambda: setattr(b.fingers, "part_at", PART_AT),
+            lambda: setattr(b.fingers, "stuck", True),
         )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from drivers.gripper.robotiq import DRIVER, RobotiqGripper
 from drivers.sim.robotiq_double import RobotiqDouble
+from drivers.sim.robotiq_fingers import ScriptedFingers
 from srvs_cell.ports import DriverContext
 from tests.drivers.stepped import SteppedClock, SteppedTime
 
@@ -29,6 +30,7 @@ PART_MM = 85.0 * (230 - PART_AT) / (230 - 3)
 class RobotiqBench:
     clock: SteppedClock
     double: RobotiqDouble
+    fingers: ScriptedFingers
     gripper: RobotiqGripper
     port: str
 
@@ -43,7 +45,7 @@ class RobotiqBench:
 
     async def holding(self) -> None:
         await self.ready()
-        self.double.part_at = PART_AT
+        self.fingers.part_at = PART_AT
         await self.gripper.close()
 
 
@@ -53,7 +55,8 @@ async def robotiq_bench(
 ) -> AsyncIterator[RobotiqBench]:
     time = SteppedTime()
     clock = SteppedClock(time)
-    double = RobotiqDouble(time.now_s)
+    fingers = ScriptedFingers(time.now_s)
+    double = RobotiqDouble(fingers, time.now_s)
     if activated:
         double.make_ready()
     port = double.start()
@@ -62,7 +65,7 @@ async def robotiq_bench(
     assert isinstance(gripper, RobotiqGripper)
     clock.busy = lambda: gripper._wire.busy
     try:
-        yield RobotiqBench(clock, double, gripper, port)
+        yield RobotiqBench(clock, double, fingers, gripper, port)
     finally:
         await gripper.disconnect()
         double.close()

@@ -60,7 +60,7 @@ async def test_that_it_was_not_talked_to_is_no_finding() -> None:
 async def test_a_robotiq_that_holds_something() -> None:
     async with robotiq_bench() as b:
         await b.ready()
-        b.double.part_at = PART_AT
+        b.fingers.part_at = PART_AT
         await b.gripper.close()
         await b.gripper.disconnect()
         findings = await b.gripper.diagnose()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from drivers.gripper.robotiq import RobotiqGripperConfig
+from drivers.gripper.robotiq_config import RobotiqGripperConfig
 from drivers.sim.rtu_line import LineFault
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
@@ -100,7 +100,7 @@ async def test_position_speed_and_force_are_sent_in_the_models_counts() -> None:
         await b.gripper.close()
         await b.gripper.open()
         assert b.double.commands == [(0x09, 255, 255, 0), (0x09, 116, 255, 0)]
-        assert b.double.position == 116
+        assert b.fingers.position == 116
         assert await b.gripper.state() is GripState.OPEN
 
 
@@ -152,7 +152,7 @@ async def test_a_lost_part_is_noticed() -> None:
     async with robotiq_bench() as b:
         await b.holding()
         assert await b.gripper.state() is GripState.HOLDING
-        b.double.lose_part()
+        b.fingers.lose_part()
         await b.clock.sleep(0.05)
         assert await b.gripper.state() is GripState.MOVING
         await b.clock.sleep(2.0)
@@ -162,10 +162,10 @@ async def test_a_lost_part_is_noticed() -> None:
 async def test_a_part_that_has_tipped_in_the_fingers_is_said_once_and_then_the_sensors_count() -> None:
     async with robotiq_bench() as b:
         await b.holding()
-        b.double.slip_to(PART_AT + 4)
+        b.fingers.slip_to(PART_AT + 4)
         await b.clock.sleep(1.0)
         assert await b.gripper.state() is GripState.HOLDING  # 1.5 mm is the rubber of the tips
-        b.double.slip_to(PART_AT + 40)
+        b.fingers.slip_to(PART_AT + 40)
         await b.clock.sleep(1.0)
         with pytest.raises(DeviceFaultError, match=rf"gripped at {PART_MM:.1f} mm.*26\.2 mm") as slipped:
             await b.gripper.state()
@@ -176,14 +176,14 @@ async def test_a_part_that_has_tipped_in_the_fingers_is_said_once_and_then_the_s
 async def test_finger_tips_that_meet_are_no_part() -> None:
     async with robotiq_bench() as b:
         await b.ready()
-        b.double.part_at = 228
+        b.fingers.part_at = 228
         assert await b.gripper.close() is GripState.CLOSED_EMPTY
 
 
 async def test_fingers_that_are_stopped_while_opening_are_not_open() -> None:
     async with robotiq_bench() as b:
         await b.holding()
-        b.double.part_at, b.double.jam_at = None, 60
+        b.fingers.part_at, b.fingers.jam_at = None, 60
         with pytest.raises(OutcomeUnknownError, match="the fingers are holding, not open") as jammed:
             await b.gripper.open()
         assert jammed.value.alarm is Alarm.GRIP_TIMEOUT
@@ -315,7 +315,7 @@ async def test_an_answer_that_comes_late_is_not_taken_for_the_next_one() -> None
         b.double.line.fault = LineFault.LATE
         with pytest.raises(NotConnectedError):
             await b.gripper.state()
-        b.double.part_at, b.double.line.fault = PART_AT, LineFault.NONE
+        b.fingers.part_at, b.double.line.fault = PART_AT, LineFault.NONE
         await b.gripper.connect()
         await b.gripper.activate()
         assert await b.gripper.close() is GripState.HOLDING

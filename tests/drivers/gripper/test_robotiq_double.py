@@ -8,6 +8,7 @@ import pytest
 import serial
 
 from drivers.sim.robotiq_double import RobotiqDouble
+from drivers.sim.robotiq_fingers import ScriptedFingers
 from drivers.sim.rtu_line import checksum
 
 READ_ONE, READ_THREE = "09 04 07 D0 00 01 30 0F", "09 04 07 D0 00 03 B1 CE"
@@ -19,7 +20,8 @@ TAKEN = "09 10 03 E8 00 03 01 30"
 class Bench:
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.double = RobotiqDouble(lambda: self.now_s)
+        self.fingers = ScriptedFingers(lambda: self.now_s)
+        self.double = RobotiqDouble(self.fingers, lambda: self.now_s)
         self.port = serial.Serial(self.double.start(), 115200, timeout=5.0)
 
     def ask(self, request: str) -> str:
@@ -50,7 +52,7 @@ def test_the_manuals_example(b: Bench) -> None:
     assert b.ask(READ_ONE) == "09 04 02 11 00 54 A1"
     b.now_s += 0.9
     assert b.ask(READ_ONE) == "09 04 02 31 00 4D 61"
-    b.double.part_at = 0xBD
+    b.fingers.part_at = 0xBD
     assert b.ask(CLOSE) == TAKEN
     b.now_s += 0.02
     assert b.ask(READ_THREE).startswith("09 04 06 39 00 00 FF ")
