@@ -8,12 +8,13 @@ OUT ?= srvs-cell-demo
 PEERS := .benchmarks/peers
 PEERS_STAMP := $(PEERS)/.installed
 
-.PHONY: help venv demo test check bench bench-peers format clean
+.PHONY: help venv demo test check wire-peers bench bench-peers format clean
 
 help:
 	@echo "make demo   the paper's whole job on a simulated cell, with a report in $(OUT)/"
 	@echo "make test   every test"
 	@echo "make check  ruff, mypy strict, import-linter"
+	@echo "make wire-peers  drivers and doubles judged by clients and servers that others wrote"
 	@echo "make bench  the figures of docs/benchmarks.md"
 	@echo "make bench-peers  our planes beside other stereo matchers, in an environment of their own"
 
@@ -37,6 +38,9 @@ check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+wire-peers: $(STAMP)
+	$(BIN)/python -m tests.peers .benchmarks/wire-peers
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/run_all.py
