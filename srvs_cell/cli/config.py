@@ -33,6 +33,7 @@ def check(config_file: _ConfigFile, as_json: _AsJson = False) -> None:
     kinds = [kind.name for kind in config.load_library().kinds]
     calibration = _calibration_state(config)
     drivers = {device.role: device.driver for device in config.devices}
+    reach = config.planning.arm is not None
     if as_json:
         answer = {
             "valid": True,
@@ -47,6 +48,8 @@ def check(config_file: _ConfigFile, as_json: _AsJson = False) -> None:
     typer.echo("drivers: " + ", ".join(f"{role} {driver}" for role, driver in drivers.items()))
     typer.echo(f"object kinds: {', '.join(kinds)}")
     typer.echo(f"calibration: {calibration}")
+    if not reach:
+        typer.echo("reach and joint limits are not checked beforehand: planning.arm does not describe the arm")
 
 
 def show(

@@ -6,8 +6,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from srvs_cell.planning.clearance import conflict_table, outer_radius_mm
-from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.goals import goal_is_possible, goal_rule
 from srvs_cell.planning.moves import after, fewest_moves
+from srvs_cell.planning.problem import RankGoal
 from srvs_cell.scene import Move, Place, PlaceKind, PlanStatus
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 _MOST_MOVES_TRIED = 20_000
 """Moves that are tried for each change: help should be cheap."""
+
+_A_PAIR = 2
 
 
 def explain(problem: Problem, answer: RelocationPlan) -> tuple[str, ...]:
@@ -98,16 +101,19 @@ def _why_not_at_once(
 def what_would_help(problem: Problem) -> tuple[str, ...]:
     """Return single changes, each of which makes an infeasible problem solvable.
 
-    Tried are one more buffer place, and each place out of reach, obstacle and object taken away in turn. Changes whose
-    search ends at its cap are not named.
+    Tried are one more buffer place; each place that is out of reach, for all objects or for some, brought within it;
+    each obstacle and each object taken away. Changes whose search ends at its cap are not named.
     """
     return tuple(text for text, changed in _changes(problem) if _solvable(changed))
 
 
 def _solvable(problem: Problem) -> bool:
     start = tuple(item.start for item in problem.objects)
+    table, rule = conflict_table(problem), goal_rule(problem)
+    if not goal_is_possible(start, table, rule):
+        return False
     # A greedy search: that there is a plan is all that is asked.
-    found = fewest_moves(start, conflict_table(problem), goal_rule(problem), _MOST_MOVES_TRIED, weight=2.0)
+    found = fewest_moves(start, table, rule, _MOST_MOVES_TRIED, weight=2.0)
     return found.steps is not None
 
 
@@ -127,6 +133,27 @@ def _changes(problem: Problem) -> Iterator[tuple[str, Problem]]:
         rest = (*problem.obstacles[:number], *problem.obstacles[number + 1 :])
         text = f"the obstacle at ({obstacle.x_mm:.1f}, {obstacle.y_mm:.1f}) taken away"
         yield text, replace(problem, obstacles=rest)
+    for number in sorted({number for item in problem.objects for number, _ in item.blocked}):
+        freed = tuple(
+            replace(item, blocked=tuple(entry for entry in item.blocked if entry[0] != number))
+            for item in problem.objects
+        )
+        yield f"{_place(problem, number)} where the arm can reach it", replace(problem, objects=freed)
+    # Of two, one that is left alone is always in order.
+    if len(problem.objects) > _A_PAIR:
+        for item in problem.objects:
+            yield f"{item.name} taken off the table", _without(problem, item.id)
+
+
+def _without(problem: Problem, gone: int) -> Problem:
+    """Return the problem without an object; in an order of height its place is no longer one that is occupied."""
+    rest = tuple(item for item in problem.objects if item.id != gone)
+    goal = problem.goal
+    if isinstance(goal, RankGoal):
+        goal = replace(goal, slots=tuple(slot for slot in goal.slots if slot != problem.objects[gone].start))
+    else:
+        goal = replace(goal, allowed=tuple(goal.allowed[item.id] for item in rest))
+    return replace(problem, objects=tuple(replace(item, id=i) for i, item in enumerate(rest)), goal=goal)
 
 
 def _place(problem: Problem, place: int) -> str:

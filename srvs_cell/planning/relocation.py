@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.planning.access import Access
 from srvs_cell.planning.buffers import better_buffer
+from srvs_cell.planning.explain import what_would_help
 from srvs_cell.planning.legs import LegTops, leg_tops, tallest_mm
 from srvs_cell.planning.planner import has_plan, plan
 from srvs_cell.planning.rules import make_rule
@@ -215,6 +216,9 @@ def _is_solvable_if_exact(
 def _cell_plan(table: TableProblem, answer: RelocationPlan) -> CellPlan:
     problem = table.problem
     planned = has_plan(answer)
+    if answer.status is PlanStatus.INFEASIBLE:
+        helpful = tuple(f"it would help: {change}" for change in what_would_help(problem))
+        answer = replace(answer, reasons=(*answer.reasons, *helpful))
     refusal = validate(problem, answer.moves) if planned else []
     if refusal:
         raise AlarmError(Alarm.PLAN_INVALID, f"{'; '.join(refusal)}.")

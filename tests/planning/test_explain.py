@@ -65,3 +65,19 @@ def test_the_picture_holds_every_object_obstacle_and_move() -> None:
         x, y = float(element.get("cx", "nan")), float(element.get("cy", "nan"))
         assert left < x < left + width
         assert top < y < top + height
+
+
+def test_an_object_taken_away_or_a_place_within_reach_would_help() -> None:
+    problem = line_problem([10.0, 20.0, 30.0], spacing_mm=60.0)
+    fixed = dataclasses.replace(problem.objects[1], blocked=((1, "out of reach by 14 mm"),))
+    stuck = dataclasses.replace(
+        problem,
+        objects=(problem.objects[0], fixed, problem.objects[2]),
+        goal=AssignGoal((frozenset({2}), frozenset({0}), frozenset({1})), frozenset()),
+    )
+    lines = explain(stuck, plan(stuck))
+    assert lines == (
+        "it would help: slot 1 (60.0, 0.0) where the arm can reach it",
+        "it would help: object 1 taken off the table",
+    )
+    assert any("out of reach by 14 mm" in reason for reason in plan(stuck).reasons)
