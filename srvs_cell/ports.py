@@ -330,6 +330,16 @@ ConfigT = TypeVar("ConfigT", bound="BaseModel")
 
 
 @runtime_checkable
+class Counting(Protocol):
+    """A device that counts what happens to it, for people and for metrics."""
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """Events since this process began, by name."""
+        ...
+
+
+@runtime_checkable
 class KnowsItsPatience(Protocol):
     """A driver's config that says how long a reading may take before the driver gives the device up."""
 

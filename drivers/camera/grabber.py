@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from srvs_cell.alarms import Alarm
@@ -27,6 +27,8 @@ _FAILED_GRABS: Final = 3
 """So many failures in a row end the stream: an unplugged camera fails at once and for ever."""
 
 _RETRY_S: Final = 0.05
+_OPEN_TIMEOUT_S: Final = 10.0
+"""Real seconds: a device that hangs in opening must not let a clear hang."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,27 @@ class FrameStamp:
 
     stamp_s: float
     sequence: int
+
+
+@dataclass
+class CameraCounters:
+    """What has happened to a camera's stream since this process began.
+
+    Attributes:
+        frames: buffers that the device has handed out.
+        too_old: of these, frames that somebody could not use because they were exposed before he asked.
+        failed_grabs: waits that ended without a buffer.
+        invalid: pictures that could not be decoded or had the wrong size.
+        timeouts: requests that got no frame in time, for whatever reason.
+        streams_lost: streams that have ended by themselves.
+    """
+
+    frames: int = 0
+    too_old: int = 0
+    failed_grabs: int = 0
+    invalid: int = 0
+    timeouts: int = 0
+    streams_lost: int = 0
 
 
 class Capture(Protocol):
@@ -58,7 +81,7 @@ class Capture(Protocol):
         ...
 
 
-@dataclass
+@dataclass(eq=False)
 class _Wanted:
     """Somebody's request for a frame; `seen` counts the frames that were too old for it."""
 
@@ -89,12 +112,22 @@ class GrabbingCamera:
         clock: the process's clock.
         name: what people call the camera.
         size_px: (width, height) that pictures must have; None to take what comes.
+        first_frame_timeout_s: how long a stream may take to begin; None where that is not waited for.
+        open_timeout_s: real seconds that opening the device may take.
     """
 
     def __init__(
-        self, open_capture: Callable[[], Capture], clock: Clock, name: str, size_px: tuple[int, int] | None = None
+        self,
+        open_capture: Callable[[], Capture],
+        clock: Clock,
+        name: str,
+        size_px: tuple[int, int] | None = None,
+        first_frame_timeout_s: float | None = None,
+        open_timeout_s: float = _OPEN_TIMEOUT_S,
     ) -> None:
         self._open_capture, self._clock, self._name, self._size_px = open_capture, clock, name, size_px
+        self._first_frame_timeout_s, self._open_timeout_s = first_frame_timeout_s, open_timeout_s
+        self._counters = CameraCounters()
         self._lifecycle = Lifecycle.DISCONNECTED
         self._capture: Capture | None = None
         self._thread: threading.Thread | None = None
@@ -113,22 +146,40 @@ class GrabbingCamera:
         """What stands behind the port, for people."""
         return self._name
 
+    @property
+    def counters(self) -> dict[str, int]:
+        """What has happened to the stream since this process began, by name."""
+        return asdict(self._counters)
+
     async def connect(self) -> None:
         """Open the device and check its settings. Raises `PortError` with the reason."""
         if self._lost is not None:
             await self.disconnect()
         if self._lifecycle == Lifecycle.DISCONNECTED:
-            self._capture = await asyncio.to_thread(self._open_capture)
+            self._capture = await self._opened()
             self._lifecycle = Lifecycle.INACTIVE
 
     async def activate(self) -> None:
-        """Start to read frames."""
+        """Start to read frames.
+
+        Raises:
+            FrameError: CAMERA_TIMEOUT where the stream does not begin, IMAGE_INVALID where its pictures are wrong.
+            NotConnectedError: CAMERA_UNAVAILABLE where it ends at once.
+        """
         capture = self._connected()
         if self._lifecycle == Lifecycle.INACTIVE:
+            await self._end_thread()  # one that a stream which did not begin has left behind
             self._stopping.clear()
             self._thread = threading.Thread(target=self._read, args=(capture,), name=self._name, daemon=True)
             self._thread.start()
             self._lifecycle = Lifecycle.ACTIVE
+            if self._first_frame_timeout_s is not None:
+                try:
+                    await self.grab(float("-inf"), self._first_frame_timeout_s)
+                except BaseException:
+                    self._stopping.set()  # who asked is told at once; the device may hold the thread for a while
+                    self._lifecycle = Lifecycle.INACTIVE
+                    raise
 
     async def deactivate(self) -> None:
         """Stop to read frames."""
@@ -167,6 +218,7 @@ class GrabbingCamera:
             await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
             if not wanted.answer.done():
                 await timer  # a clock that has stopped says so here
+                self._counters.timeouts += 1
                 raise self._too_late(wanted, timeout_s)
             return wanted.answer.result()
         finally:
@@ -191,6 +243,21 @@ class GrabbingCamera:
             raise NotConnectedError(Alarm.CAMERA_UNAVAILABLE, f"{self._name} is not connected.")
         return self._capture
 
+    async def _opened(self) -> Capture:
+        """Open the device within its time; one that comes to be open later is closed again."""
+        opening = asyncio.ensure_future(asyncio.to_thread(self._open_capture))
+        try:
+            done, _ = await asyncio.wait({opening}, timeout=self._open_timeout_s)
+        finally:
+            if not opening.done():
+                opening.add_done_callback(_close_late)
+        if not done:
+            raise NotConnectedError(
+                Alarm.CAMERA_UNAVAILABLE,
+                f"{self._name}: opening has taken longer than {self._open_timeout_s} s: plug the camera in again.",
+            )
+        return opening.result()
+
     async def _end_thread(self) -> None:
         self._stopping.set()
         thread, self._thread = self._thread, None
@@ -208,6 +275,8 @@ class GrabbingCamera:
             except PortError as error:
                 self._lose(error)
                 return
+            if stamp is None:
+                self._counters.failed_grabs += 1
             failed = 0 if stamp is not None else failed + 1
             if failed == _FAILED_GRABS:
                 self._lose(
@@ -221,9 +290,11 @@ class GrabbingCamera:
 
     def _offer(self, capture: Capture, stamp: FrameStamp) -> None:
         """Give the frame to those who wait for one as new as this; the picture is fetched only for them."""
+        self._counters.frames += 1
         with self._lock:
             served = [wanted for wanted in self._wanted if stamp.stamp_s >= wanted.not_before_s]
-            self._wanted = [wanted for wanted in self._wanted if stamp.stamp_s < wanted.not_before_s]
+            self._wanted = [wanted for wanted in self._wanted if wanted not in served]
+            self._counters.too_old += bool(self._wanted)
             for wanted in self._wanted:
                 wanted.seen, wanted.newest_s = wanted.seen + 1, stamp.stamp_s
         if served:
@@ -235,17 +306,26 @@ class GrabbingCamera:
         try:
             image = capture.retrieve()
         except FrameError as error:  # one bad frame does not end the stream
+            self._counters.invalid += 1
             return error
         size_px = (image.shape[1], image.shape[0])
         if self._size_px is not None and size_px != self._size_px:
+            self._counters.invalid += 1
             return FrameError(
                 Alarm.IMAGE_INVALID, f"{self._name}: the picture has {size_px} pixels, the config says {self._size_px}."
             )
         return Frame(image, stamp.stamp_s, stamp.sequence)
 
     def _lose(self, error: PortError) -> None:
+        self._counters.streams_lost += 1
         self._lost = error
         with self._lock:
             waiting, self._wanted = self._wanted, []
         for wanted in waiting:
             wanted.resolve(NotConnectedError(error.alarm, error.detail))
+
+
+def _close_late(opening: asyncio.Future[Capture]) -> None:
+    """Let go of a device that was opened after nobody waited for it any more."""
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().close()

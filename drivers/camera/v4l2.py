@@ -6,7 +6,8 @@ is the frame's age; it is taken off the process's clock. The driver uvcvideo sta
 that stamps the end of a frame needs ``exposure_before_stamp_s``.
 
 A frozen device lets OpenCV's grab return after 10 s; the environment variable OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT
-(seconds, read when OpenCV is imported) shortens that. Whoever waits for a frame has a time-out of his own.
+(seconds, read when OpenCV is imported) shortens that; `srvs-cell run` sets it to 2 where it is not set. Whoever
+waits for a frame has a time-out of his own.
 
 Settings are written, read back and compared: a UVC camera accepts values that it then does not use. Automatics are
 switched off first where a value of theirs is given, because an automatic gain takes its value back.
@@ -99,6 +100,12 @@ class V4l2CameraConfig(BaseModel):
     gain: int | None = Field(default=None, ge=0, le=100_000, description="in the device's units")
     focus: int | None = Field(
         default=None, ge=0, le=100_000, description="in the device's units; switches the autofocus off"
+    )
+    first_frame_timeout_s: float = Field(
+        default=5.0, gt=0.0, le=30.0, description="how long the stream may take to begin; a slow camera needs seconds"
+    )
+    open_timeout_s: float = Field(
+        default=10.0, gt=0.0, le=60.0, description="real seconds that opening and setting the device may take"
     )
     exposure_before_stamp_s: float = Field(
         default=0.0, ge=0.0, le=2.0, description="how long before its time stamp a frame's exposure begins"
@@ -262,7 +269,14 @@ class V4l2Camera(GrabbingCamera):
     ) -> None:
         self._config = config
         self._open_device = open_capture or (lambda: open_v4l2(config, clock))
-        super().__init__(self._open_device, clock, config.device, (config.width, config.height))
+        super().__init__(
+            self._open_device,
+            clock,
+            config.device,
+            (config.width, config.height),
+            config.first_frame_timeout_s,
+            config.open_timeout_s,
+        )
 
     async def diagnose(self) -> list[Finding]:
         """Open the device, take some frames, close it; see `srvs_cell.ports.Diagnosable`."""

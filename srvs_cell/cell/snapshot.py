@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from srvs_cell.cell.export import plan_json, plan_list, status_json, workpiece_json
 from srvs_cell.cell.job import Progress
 from srvs_cell.cell.packml import MODE_CHANGE_STATES
+from srvs_cell.ports import Counting
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +57,11 @@ def make_snapshot(
         },
         "arm": None if status is None else status_json(status, now_s),
         "devices": {
-            name: {"lifecycle": device.lifecycle.value, "description": device.description}
+            name: {
+                "lifecycle": device.lifecycle.value,
+                "description": device.description,
+                "counters": device.counters if isinstance(device, Counting) else {},
+            }
             for name, device in devices.named()
         },
         "allowed_commands": [command.title for command in allowed],

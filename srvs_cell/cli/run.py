@@ -1,5 +1,6 @@
 """``srvs-cell run``: the daemon in the foreground."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,8 @@ def run(
     ] = None,
 ) -> None:
     """Run the daemon in the foreground until SIGTERM or Ctrl-C; the cell starts up in Aborted."""
+    # OpenCV reads it when it is imported: a camera that has frozen holds a grab for so many seconds, not for ten.
+    os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "2")
     from srvs_cell.config import load_config  # noqa: PLC0415 - imports the vision; other commands must not wait for it
     from srvs_cell.service.daemon import run_daemon  # noqa: PLC0415 - same
 

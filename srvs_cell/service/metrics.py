@@ -52,4 +52,11 @@ class _SnapshotCollector(Collector):
         yield GaugeMetricFamily("srvs_cell_simulation", "1 where the cell is simulated.", float(snapshot["simulation"]))
         yield GaugeMetricFamily("srvs_cell_workpieces", "Workpieces in view.", len(snapshot["workpieces"]))
         yield GaugeMetricFamily("srvs_cell_active_alarms", "Alarms that are active.", len(snapshot["alarms"]))
+        events = CounterMetricFamily(
+            "srvs_cell_device_events", "What a device has counted since the start.", labels=["device", "event"]
+        )
+        for name, device in snapshot["devices"].items():
+            for event, count in device["counters"].items():
+                events.add_metric([name, event], count)
+        yield events
         yield CounterMetricFamily("srvs_cell_moves_done", "Picks and places of this job.", snapshot["moves_done"])

@@ -103,7 +103,7 @@ class FakeUnit:
             "alarms": [alarm],
             "gripper": {"knowledge": "holding", "workpiece": 3, "kind": "cuboid"},
             "arm": None,
-            "devices": {"arm": {"lifecycle": "active", "description": "a fake"}},
+            "devices": {"arm": {"lifecycle": "active", "description": "a fake", "counters": {"frames": 7}}},
             "allowed_commands": [command.title for command in allowed_commands(self.state, self.mode)],
             "mode_change_allowed": True,
             "timings_ms": {},

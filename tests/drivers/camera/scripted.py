@@ -25,6 +25,8 @@ class ScriptedVideo:
         frozen_at_s: every frame carries this stamp.
         stamp_offset_s: error of the stamps.
         broken: pictures cannot be decoded.
+        begins_at_s: before this no frame comes, and a grab waits for it.
+        holds_s: a grab is held so long and ends without a frame, as of a frozen device.
     """
 
     def __init__(self, time: SteppedTime, lag: int = 4, size_px: tuple[int, int] = (64, 48)) -> None:
@@ -32,6 +34,8 @@ class ScriptedVideo:
         self.released = False
         self.fails = False
         self.broken = False
+        self.begins_at_s = 0.0
+        self.holds_s: float | None = None
         self.frozen_at_s: float | None = None
         self.stamp_offset_s = 0.0
         self.stuck: dict[int, float] = {}
@@ -47,7 +51,10 @@ class ScriptedVideo:
         return self.opened
 
     def grab(self) -> bool:
-        self._time.sleep(PERIOD_S)
+        if self.holds_s is not None:
+            self._time.sleep(self.holds_s)
+            return False
+        self._time.sleep(max(PERIOD_S, self.begins_at_s - self._time.now_s()))
         if self.fails:
             return False
         self.grabbed += 1

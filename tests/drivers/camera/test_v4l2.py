@@ -20,6 +20,8 @@ DEVICE = "/dev/v4l/by-id/usb-Scripted-video-index0"
 
 
 class Bench:
+    """The camera as the entry point makes it, but for the first frame, which each test asks for itself."""
+
     def __init__(self, **settings: Any) -> None:
         self.time = SteppedTime()
         self.clock = SteppedClock(self.time)
