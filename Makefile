@@ -8,11 +8,12 @@ OUT ?= srvs-cell-demo
 PEERS := .benchmarks/peers
 PEERS_STAMP := $(PEERS)/.installed
 
-.PHONY: help venv demo test check wire-peers bench bench-peers format clean
+.PHONY: help venv demo test test-vm check wire-peers bench bench-peers format clean
 
 help:
 	@echo "make demo   the paper's whole job on a simulated cell, with a report in $(OUT)/"
 	@echo "make test   every test"
+	@echo "make test-vm  the service and the camera driver under a real kernel and systemd, in a virtual machine"
 	@echo "make check  ruff, mypy strict, import-linter"
 	@echo "make wire-peers  drivers and doubles judged by clients and servers that others wrote"
 	@echo "make bench  the figures of docs/benchmarks.md"
@@ -32,6 +33,9 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n 2
+
+test-vm: $(STAMP)
+	tests/vm/run.sh
 
 check: $(STAMP)
 	$(BIN)/ruff check .
@@ -58,4 +62,4 @@ format: $(STAMP)
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .vm .mypy_cache .ruff_cache .pytest_cache .hypothesis

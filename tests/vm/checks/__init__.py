@@ -1,0 +1,1 @@
+"""What is checked inside the machine."""
