@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger("srvs_cell.sim")
 _LEVELS: Final = ("none", "real")
+_WIRES: Final = ("modbus", "rmi", "karel", "karel-serial")
 _EXIT_FAILED: Final = 1
 _POLL_S: Final = 0.2
 
@@ -45,7 +46,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, help="the same seed gives the same cell")
     parser.add_argument("--speed", type=float, default=20.0, help="how much faster than life while the daemon waits")
     parser.add_argument("--imperfections", choices=_LEVELS, default="real", help="a perfect cell or a real one")
-    parser.add_argument("--modbus-port", type=int, default=0, help="0 takes a free one")
+    parser.add_argument("--wire", choices=_WIRES, default="modbus", help="how the controller is talked to")
+    for wire in ("modbus", "rmi", "karel"):
+        parser.add_argument(f"--{wire}-port", type=int, default=0, help=f"of the wire {wire}; 0 takes a free one")
     parser.add_argument("--robotiq", type=Path, default=None, help="where to link the serial port of a Robotiq gripper")
     parser.add_argument("--calibration-out", type=Path, default=None, help="where to write the calibration file")
     parser.add_argument("--clock-page", type=Path, default=None, help="where to make the clock page")
@@ -76,8 +79,8 @@ def _run(parameters: SimulationParameters, arguments: argparse.Namespace) -> int
     from drivers.sim.camera_server import CameraServer  # noqa: PLC0415 - see `_serve`
     from drivers.sim.clock_page import ClockPage  # noqa: PLC0415
     from drivers.sim.control_server import Control, ControlServer  # noqa: PLC0415
+    from drivers.sim.controllers import WIRES  # noqa: PLC0415
     from drivers.sim.imperfections import write_calibration  # noqa: PLC0415
-    from drivers.sim.modbus_controller import ModbusController  # noqa: PLC0415
     from drivers.sim.simulation import Simulation  # noqa: PLC0415
 
     ended = threading.Event()
@@ -89,16 +92,17 @@ def _run(parameters: SimulationParameters, arguments: argparse.Namespace) -> int
         stack.callback(page.close)
         simulation = Simulation(parameters, page)
         write_calibration(simulation.camera, calibration_path)
-        controller = ModbusController(simulation.arm, simulation.time, arguments.modbus_port)
+        port = {"modbus": arguments.modbus_port, "rmi": arguments.rmi_port}.get(arguments.wire, arguments.karel_port)
+        wired = WIRES[arguments.wire](simulation.arm, simulation.time, port)
         camera_server = CameraServer(simulation.stream, simulation.pictures, simulation.time)
-        control_server = ControlServer(Control(simulation, controller, camera_server, ended.set))
+        control_server = ControlServer(Control(simulation, wired, camera_server, ended.set))
         stack.callback(simulation.time.close)
         simulation.time.start()
         stack.callback(camera_server.close)
         stack.callback(control_server.close)
-        stack.callback(controller.close)
+        stack.callback(wired.controller.close)
         line: dict[str, Any] = {
-            "modbus_port": controller.start(),
+            **wired.start(),
             "camera_port": camera_server.start(),
             "control_port": control_server.start(),
             "clock_page": str(page_path),

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 
-from drivers.sim.modbus_server import WireFault
 from drivers.sim.truth import truth
 from srvs_cell.ports import RobotMode
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from drivers.sim.camera_server import CameraServer
-    from drivers.sim.modbus_controller import ModbusController
+    from drivers.sim.controllers import WiredController
     from drivers.sim.simulation import Simulation
 
 _ESTOP: Final = "SRVO-001 Operator panel E-stop"
@@ -37,7 +36,7 @@ class Control:
 
     Args:
         simulation: the cell.
-        controller: its robot controller.
+        wired: its robot controller.
         camera_server: its camera.
         shutdown: ends the simulator.
     """
@@ -45,11 +44,11 @@ class Control:
     def __init__(
         self,
         simulation: Simulation,
-        controller: ModbusController,
+        wired: WiredController,
         camera_server: CameraServer,
         shutdown: Callable[[], None],
     ) -> None:
-        self._simulation, self._controller, self._shutdown = simulation, controller, shutdown
+        self._simulation, self._wired, self._shutdown = simulation, wired, shutdown
         self._faults: dict[str, Callable[[dict[str, Any]], None]] = {
             "e_stop": lambda _: simulation.arm.raise_fault(_ESTOP, servo_off=True),
             "arm_fault": lambda request: simulation.arm.raise_fault(str(request.get("text", _FAULT))),
@@ -63,10 +62,10 @@ class Control:
             "pendant": lambda request: setattr(simulation.arm, "pendant_enabled", bool(request["on"])),
         }
         self._wire_faults: dict[str, Callable[[dict[str, Any]], None]] = {
-            "wire": lambda request: setattr(controller.server, "fault", WireFault[str(request["kind"]).upper()]),
-            "wire_cut": lambda _: controller.server.cut(),
-            "heartbeat": lambda request: setattr(controller, "heartbeat_frozen", not request["on"]),
-            "reboot": lambda _: controller.reboot(),
+            "wire": lambda request: wired.set_fault(wired.faults[str(request["kind"]).upper()]),
+            "wire_cut": lambda _: wired.cut(),
+            "heartbeat": self._set_heartbeat,
+            "reboot": lambda _: wired.controller.reboot(),
         }
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -77,7 +76,7 @@ class Control:
         """
         operation = request.get("op")
         if operation == "truth":
-            return {**truth(self._simulation), "motions_started": self._controller.motions_started}
+            return {**truth(self._simulation), "motions_started": self._wired.controller.motions_started}
         if operation == "inject":
             self._inject(str(request.get("fault")), request)
             return {"ok": True, "time_s": self._simulation.time.now_s()}
@@ -103,6 +102,11 @@ class Control:
             picture = self._simulation.pictures.picture(exposure)
         encoded = np.asarray(cv2.imencode(".png", picture)[1])
         return base64.b64encode(encoded.tobytes()).decode("ascii")
+
+    def _set_heartbeat(self, request: dict[str, Any]) -> None:
+        if self._wired.set_heartbeat is None:
+            raise RequestError("this wire has no heartbeat")
+        self._wired.set_heartbeat(bool(request["on"]))
 
     def _set_stream(self, name: str, value: bool) -> None:
         setattr(self._simulation.stream, name, value)

@@ -22,6 +22,9 @@ def register(app: typer.Typer) -> None:
             float, typer.Option(min=1.0, max=1000.0, help="how much faster than life while waiting")
         ] = 20.0,
         imperfections: Annotated[str, typer.Option(help="of the simulated cell: real or none")] = "real",
+        wire: Annotated[
+            str, typer.Option(help="to the simulated controller: modbus, rmi, karel or karel-serial")
+        ] = "modbus",
         as_json: Annotated[bool, typer.Option("--json", help="one JSON object on stdout")] = False,
     ) -> None:
         """Relocate simulated objects once and judge the result by the simulator's truth; exit 0 only if it agrees."""
@@ -30,7 +33,7 @@ def register(app: typer.Typer) -> None:
         from srvs_cell.cli.demo_run import DemoOptions, run_demo  # noqa: PLC0415 - same
         from srvs_cell.cli.simulated_cell import SimulationOptions  # noqa: PLC0415 - same
 
-        simulation = SimulationOptions(objects=objects, seed=seed, speed=speed, imperfections=imperfections)
+        simulation = SimulationOptions(objects=objects, seed=seed, speed=speed, imperfections=imperfections, wire=wire)
         options = DemoOptions(simulation, out)
         result = run_demo(options, progress=lambda line: typer.echo(line, err=as_json))
         if as_json:

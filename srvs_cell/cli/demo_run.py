@@ -41,7 +41,10 @@ class DemoOptions:
     def command(self) -> str:
         """Return the command line that repeats this run."""
         chosen = self.simulation
-        return f"srvs-cell demo --objects {chosen.objects} --seed {chosen.seed} --imperfections {chosen.imperfections}"
+        return (
+            f"srvs-cell demo --objects {chosen.objects} --seed {chosen.seed} --imperfections {chosen.imperfections} "
+            f"--wire {chosen.wire}"
+        )
 
 
 def true_parts(control: SimulatorControl) -> list[TruePart]:

@@ -25,8 +25,17 @@ def sim(
     imperfections: Annotated[
         str, typer.Option("--imperfections", help="Of the simulated cell: real or none.")
     ] = "real",
+    wire: Annotated[
+        str, typer.Option("--wire", help="How the controller is talked to: modbus, rmi, karel or karel-serial.")
+    ] = "modbus",
     modbus_port: Annotated[
         int, typer.Option("--modbus-port", min=0, max=_LAST_PORT, help="Port of the controller; 0: any free one.")
+    ] = 0,
+    rmi_port: Annotated[
+        int, typer.Option("--rmi-port", min=0, max=_LAST_PORT, help="The same, where the wire is rmi.")
+    ] = 0,
+    karel_port: Annotated[
+        int, typer.Option("--karel-port", min=0, max=_LAST_PORT, help="The same, where the wire is karel.")
     ] = 0,
     robotiq: Annotated[
         Path | None,
@@ -49,7 +58,8 @@ def sim(
         clock_page = clock_page or folder.resolve() / "clock"
         calibration_out = folder / CALIBRATION_FILE
     arguments = ["--objects", str(objects), "--seed", str(seed), "--speed", str(speed)]
-    arguments += ["--imperfections", imperfections, "--modbus-port", str(modbus_port)]
+    arguments += ["--imperfections", imperfections, "--wire", wire, "--modbus-port", str(modbus_port)]
+    arguments += ["--rmi-port", str(rmi_port), "--karel-port", str(karel_port)]
     for option, path in (("--clock-page", clock_page), ("--calibration-out", calibration_out), ("--robotiq", robotiq)):
         if path is not None:
             arguments += [option, str(path)]

@@ -37,6 +37,7 @@ class SimulationOptions:
     seed: int = 0
     speed: float = 20.0
     imperfections: str = "real"
+    wire: str = "modbus"
 
 
 class SimulatorControl:
@@ -148,7 +149,7 @@ def simulated_cell(options: SimulationOptions, folder: Path) -> Iterator[Simulat
         short = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="srvs-")))
         arguments = [
             "--objects", str(options.objects), "--seed", str(options.seed), "--speed", str(options.speed),
-            "--imperfections", options.imperfections, "--clock-page", str(short / "clock"),
+            "--imperfections", options.imperfections, "--wire", options.wire, "--clock-page", str(short / "clock"),
             "--calibration-out", str(folder / CALIBRATION_FILE),
         ]  # fmt: skip
         process, listening = start_simulator(arguments, folder / "simulator.log")
@@ -181,7 +182,7 @@ def write_config(path: Path, listening: Mapping[str, Any], service: Mapping[str,
     config["calibration"] = CALIBRATION_FILE
     config["devices"]["clock"]["path"] = listening["clock_page"]
     config["devices"]["camera"]["port"] = listening["camera_port"]
-    config["devices"]["arm"]["port"] = listening["modbus_port"]
+    config["devices"]["arm"] = {**listening["arm"], "timeout_s": config["devices"]["arm"]["timeout_s"]}
     if "robotiq" in listening:
         stroke = [[3, listening["gripper"]["max_opening_mm"]], [230, 0.0]]
         gripper = {"driver": "robotiq", "port": listening["robotiq"], "stroke": stroke, "answer_timeout_s": 5.0}

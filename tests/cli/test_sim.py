@@ -64,25 +64,29 @@ def test_silence_is_bounded_and_leaves_no_process(child: pytest.MonkeyPatch, tmp
 
 def test_sim_passes_options_and_line_through(child: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     child.setenv("CHILD", REPORTS)
-    assert run(["sim", "--objects", "3", "--seed", "7", "--modbus-port", "5020", "--robotiq", "pty"]) == 0
+    assert (
+        run(["sim", "--objects", "3", "--seed", "7", "--modbus-port", "5020", "--wire", "rmi", "--robotiq", "pty"]) == 0
+    )
     arguments = json.loads(capsys.readouterr().out)["arguments"]
     given = dict(zip(arguments[::2], arguments[1::2], strict=True))
     assert (given["--objects"], given["--seed"], given["--modbus-port"]) == ("3", "7", "5020")
-    assert given["--robotiq"] == "pty"
+    assert (given["--robotiq"], given["--wire"]) == ("pty", "rmi")
 
 
-def test_the_config_beside_a_simulated_cell_takes_the_gripper_that_listens(tmp_path: Path) -> None:
+def test_the_config_beside_a_simulated_cell_takes_the_wire_and_the_gripper_that_listen(tmp_path: Path) -> None:
     listening: dict[str, object] = {
         "observe_pose": [675.0, 15.0, 410.0, 180.0, 0.0, 0.0],
         "baseline_mm": 30.0,
         "table_z_mm": -50.0,
         "clock_page": str(tmp_path / "clock"),
         "camera_port": 9101,
-        "modbus_port": 5020,
+        "arm": {"driver": "fanuc_karel", "serial": {"device": "/dev/pts/9"}},
         "gripper": {"max_opening_mm": 84.0},
     }
     write_config(tmp_path / "cell.yaml", listening, {})
     assert load_config(tmp_path / "cell.yaml").devices.gripper.driver == "robot_io"
+    arm = load_config(tmp_path / "cell.yaml").devices.arm
+    assert (arm.driver, arm.settings.model_dump()["serial"]["device"]) == ("fanuc_karel", "/dev/pts/9")
     write_config(tmp_path / "cell.yaml", {**listening, "robotiq": str(tmp_path / "gripper")}, {})
     gripper = load_config(tmp_path / "cell.yaml").devices.gripper
     assert gripper.driver == "robotiq"
