@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, inclined_faces
+from srvs_cell.vision.faces import HEXAGON_RATIO, LEAST_INCLINATION_DEG, Face, Figure, inclined_faces
 from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
 
 if TYPE_CHECKING:
@@ -44,8 +44,10 @@ _BEST = 4
 _BEST_OF_KIND = 2
 _START_SLOPE = 0.36
 _GENTLE_SLOPE = 0.2
-_LEAST_INCLINATION_DEG = 5.0
 _CORNERS = 3
+_CANDIDATES = 4
+_SAME_MM = 4.0
+"""Fits whose centres are nearer to each other than this came to one place."""
 _UP = np.array([0.0, 0.0, 1.0])
 _INCLINED_GAIN = 0.7
 """An inclined face has one parameter more: it must fit better by this factor."""
@@ -63,7 +65,7 @@ def fit_rising(
     table_z_mm: float,
     possible: Callable[[FaceFit], bool],
 ) -> list[FaceFit]:
-    """Return the best face for each outline of what rises.
+    """Return for each outline of what rises the few faces that explain the grey values best.
 
     Args:
         outlines: convex, in the left image, each of shape (N, 2); see `relief.rising_outlines`.
@@ -90,9 +92,23 @@ def fit_rising(
         level = min((fit for fit in fits if fit.face.slope_u == 0.0), key=_misfit, default=None)
         inclined = min((fit for fit in fits if _is_inclined(fit)), key=_misfit, default=None)
         best = _better_inclined(level, inclined, pictures, rig, table_z_mm, possible)
-        if best is not None:
-            found.append(best)
+        found += _different([best, *sorted(fits, key=_misfit)] if best is not None else [])
     return found
+
+
+def _different(fits: list[FaceFit]) -> list[FaceFit]:
+    """Return the first few fits that are not of the same place."""
+    kept: list[FaceFit] = []
+    for fit in fits:
+        if len(kept) == _CANDIDATES:
+            break
+        if all(_apart_mm(fit.face, one.face) > _SAME_MM for one in kept):
+            kept.append(fit)
+    return kept
+
+
+def _apart_mm(face: Face, other: Face) -> float:
+    return float(np.linalg.norm([face.x_mm - other.x_mm, face.y_mm - other.y_mm, face.z_mm - other.z_mm]))
 
 
 def _better_inclined(
@@ -129,7 +145,7 @@ def _misfit(fit: FaceFit) -> float:
 
 
 def _is_inclined(fit: FaceFit) -> bool:
-    return fit.face.inclination_deg >= _LEAST_INCLINATION_DEG
+    return fit.face.inclination_deg >= LEAST_INCLINATION_DEG
 
 
 def _fits_of(

@@ -107,8 +107,9 @@ def _rising_tops(
         if edges is not None and edges.rms_px <= limits.max_rms_px
     ]
     more: list[Top] = []
-    for fit in sorted((both.agreed() for both in bench.settled(found)), key=lambda fit: fit.rms_px):
-        if not any(share_place(fit, top.fit) and top.fit.rms_px <= fit.rms_px for top in (*known, *more)):
+    for fit in (both.agreed() for both in sorted(bench.settled(found), key=lambda both: both.misfit_px2)):
+        better = any(share_place(fit, top.fit) and top.fit.rms_px <= fit.rms_px for top in known)
+        if not better and not any(share_place(fit, top.fit) for top in more):
             more.append(Top(fit, ()))
     return more
 
