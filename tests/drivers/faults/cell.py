@@ -15,10 +15,11 @@ from tests.drivers.fanuc.rmi_bench import RmiBench, rmi_bench
 from tests.drivers.stepped import PointArm
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Iterator
+    from collections.abc import AsyncIterator, Callable, Iterator
     from pathlib import Path
 
     from drivers.sim.doubles import StepClock
+    from srvs_cell.ports import Gripper
     from tests.cell.support import Cell
     from tests.drivers.stepped import SteppedTime
 
@@ -103,8 +104,14 @@ class WireCell:
         await self.settled()
 
 
+def _through_the_robot(b: Bench | RmiBench) -> Gripper:
+    return RobotIoGripper(RobotIoGripperConfig(), b.clock, b.arm)
+
+
 @contextlib.asynccontextmanager
-async def wire_cell(wire: str, folder: Path) -> AsyncIterator[WireCell]:
+async def wire_cell(
+    wire: str, folder: Path, make_gripper: Callable[[Bench | RmiBench], Gripper] = _through_the_robot
+) -> AsyncIterator[WireCell]:
     """Run a cell on ``modbus`` or ``rmi``."""
     opened = bench(make_point=GrippingArm) if wire == "modbus" else rmi_bench(make_point=GrippingArm)
     async with opened as b:
@@ -125,7 +132,7 @@ async def wire_cell(wire: str, folder: Path) -> AsyncIterator[WireCell]:
         b.clock.busy = lambda: wire_busy() or workers > 0
         world = b.point.world
         cell = build(folder)
-        gripper = RobotIoGripper(RobotIoGripperConfig(), b.clock, b.arm)
+        gripper = make_gripper(b)
         camera = FakeCamera(cast("StepClock", b.clock), (WIDTH_PX, HEIGHT_PX))
         devices = Devices(b.clock, camera, b.arm, gripper)
         robot = replace(CALIBRATION.robot, user_frame=1, user_tool=1)
