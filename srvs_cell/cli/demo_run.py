@@ -194,14 +194,8 @@ def _read(run: Path | None, name: str) -> dict[str, Any]:
 
 def _plan_part(workpiece: Mapping[str, Any]) -> PlanPart:
     x, y, _ = workpiece["position_mm"]
-    return PlanPart(
-        workpiece["id"],
-        workpiece["kind"],
-        (x, y),
-        workpiece["height_mm"],
-        workpiece["yaw_deg"],
-        tuple(workpiece["size_mm"]),
-    )
+    footprint = tuple((corner[0], corner[1]) for corner in workpiece["footprint_mm"])
+    return PlanPart(workpiece["id"], (x, y), workpiece["height_mm"], footprint)
 
 
 def _workpiece(seen: Mapping[str, Any]) -> Workpiece:

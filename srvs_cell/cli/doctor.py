@@ -28,6 +28,7 @@ def doctor(
     from srvs_cell.service.doctor import examine, verdict  # noqa: PLC0415 - as above
 
     loaded = load_config(config)
+    loaded.load_library()
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # what it logs is a finding
     status = _ask(socket or loaded.service.socket)
     examined = asyncio.run(examine(loaded, state_dir or loaded.service.state_dir, status))

@@ -25,8 +25,6 @@ _PAPER, _GRID, _INK, _PART, _ARROW, _EMPTY = (
     (140, 160, 140),
 )
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_CIRCLE_POINTS = 48
-_HEXAGON_POINTS = 6
 _ARROW_HEAD_PX = 10.0
 _LABEL_GAP_PX = 11
 _SHIFT = 4
@@ -38,11 +36,9 @@ class PlanPart:
     """A workpiece as the plan picture shows it; base frame."""
 
     id: int
-    kind: str
     xy_mm: tuple[float, float]
     height_mm: float
-    yaw_deg: float | None
-    size_mm: tuple[float, float]
+    footprint_mm: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -52,20 +48,6 @@ class PlanArrow:
     workpiece_id: int
     from_xy_mm: tuple[float, float]
     to_xy_mm: tuple[float, float]
-
-
-def outline_mm(part: PlanPart) -> NDArray[np.float64]:
-    """Return the footprint's outline, shape (N, 2), base frame."""
-    length, width = part.size_mm
-    if part.kind in {"cylinder", "prism"}:
-        count = _CIRCLE_POINTS if part.kind == "cylinder" else _HEXAGON_POINTS
-        angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
-        local = np.stack([np.cos(angles), np.sin(angles)], axis=1) * length / 2
-    else:
-        local = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (length / 2, width / 2)
-    yaw_rad = np.deg2rad(part.yaw_deg or 0.0)
-    turn = np.array([[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]])
-    return np.asarray(local @ turn.T + part.xy_mm, dtype=np.float64)
 
 
 class _Sheet:
@@ -116,7 +98,7 @@ def draw_plan(parts: Sequence[PlanPart], arrows: Sequence[PlanArrow]) -> NDArray
     sheet = _Sheet(np.array(points or [(0.0, 0.0)], dtype=np.float64))
     sheet.grid()
     for part in parts:
-        corners = np.array([sheet.at(corner) for corner in outline_mm(part)], dtype=np.int32)
+        corners = np.array([sheet.at(corner) for corner in part.footprint_mm], dtype=np.int32)
         cv2.fillPoly(sheet.image, [corners], _PART, cv2.LINE_AA)
         cv2.polylines(sheet.image, [corners], isClosed=True, color=_INK, thickness=1, lineType=cv2.LINE_AA)
     standing = np.array([part.xy_mm for part in parts], dtype=np.float64).reshape(-1, 2)
@@ -158,7 +140,9 @@ def draw_plan(parts: Sequence[PlanPart], arrows: Sequence[PlanArrow]) -> NDArray
         )
     for part in parts:
         column = sheet.at(part.xy_mm)[0]
-        below = max(sheet.at(corner)[1] for corner in outline_mm(part)) + _LABEL_GAP_PX  # the arrows meet in the middle
+        below = (
+            max(sheet.at(corner)[1] for corner in part.footprint_mm) + _LABEL_GAP_PX
+        )  # the arrows meet in the middle
         sheet.text(f"{part.id}: {part.height_mm:.0f} mm", (column, below), _INK, 0.45)
     sheet.text("base y / mm, to the left", (_WIDTH_PX // 2, sheet.image.shape[0] - 16), _INK)
     sheet.text("base x / mm, upwards", (100, 20), _INK)
