@@ -81,6 +81,8 @@ class Alarm(Enum):
     CAMERA_STALE = AlarmDefinition(3003, _E, Reaction.HOLD, "The camera delivered only frames exposed before the arm stood still.", "Check the frame rate and the stream; a frozen stream needs the camera re-plugged.")
     CAMERA_SETTING = AlarmDefinition(3004, _C, Reaction.ABORT, "The camera did not take a setting.", "Choose a supported value; the detail names the control, the value asked for and the value read back.")
     IMAGE_INVALID = AlarmDefinition(3005, _E, Reaction.HOLD, "An image is missing, truncated or of the wrong size.", "Check the file or the camera's resolution against the calibration.")
+    IMAGE_UNUSABLE = AlarmDefinition(3006, _E, Reaction.HOLD, "An image shows nothing: it is of one grey, overexposed or nothing but noise.", "Check lens cap, lamp, exposure and cable; unhold to look again.")
+    PAIR_INCONSISTENT = AlarmDefinition(3007, _E, Reaction.HOLD, "The two images do not show one scene from the reported poses.", "Check that left and right are not exchanged, that both are of one move, and that poses, user frame and tool are those of the calibration.")
     CALIBRATION_INVALID = AlarmDefinition(3101, _C, Reaction.ABORT, "The calibration is missing, malformed or impossible.", "Run 'srvs-cell calibrate check' and calibrate again.")
     BASELINE_INVALID = AlarmDefinition(3102, _E, Reaction.HOLD, "The two poses do not make a usable stereo baseline.", "Check the lateral path: a sideways move of the camera without rotation.")
     NOTHING_SEEN = AlarmDefinition(3201, _W, Reaction.SUSPEND, "No workpiece is in view.", "Put parts on the table; the cell looks again by itself.")

@@ -23,6 +23,7 @@ from srvs_cell.vision.interpolation import disparity_at, fill_plane, fill_rows, 
 from srvs_cell.vision.kinds import BUILT_IN_KINDS
 from srvs_cell.vision.lateral_stereo import surfaces_from_matches
 from srvs_cell.vision.matching import find_matches
+from srvs_cell.vision.picture_check import check_different, check_pair, check_picture
 from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.recognition import recognise
 from srvs_cell.vision.rectification import rectify_pair, to_grey
@@ -119,9 +120,10 @@ def analyse_left(left: Image, parameters: VisionParameters, view: StereoView) ->
     """Analyse the left image early, with the planned right pose in ``view``.
 
     Raises:
-        AlarmError: IMAGE_INVALID or BASELINE_INVALID.
+        AlarmError: IMAGE_INVALID, IMAGE_UNUSABLE or BASELINE_INVALID.
     """
     grey = _checked(left, "left")
+    check_picture(grey, "left")
     pair = rectify_pair(grey, grey, view.calibration, view.base_T_tcp_left, view.base_T_tcp_right)
     return LeftAnalysis(analyse_image(pair.left, parameters, pair.left_valid), pair.rig)
 
@@ -149,7 +151,8 @@ def perceive(
 
     Raises:
         AlarmError: IMAGE_INVALID where an image is no image, too small, or not of the other's or the calibration's
-            size; BASELINE_INVALID where the poses make no baseline.
+            size; IMAGE_UNUSABLE where it shows nothing; PAIR_INCONSISTENT where both are one picture, or do not show
+            one scene from their poses; BASELINE_INVALID where the poses make no baseline.
     """
     steps = _Steps(stopwatch)
     left_grey, right_grey = _checked(left, "left"), _checked(right, "right")
@@ -157,6 +160,9 @@ def perceive(
         raise AlarmError(
             Alarm.IMAGE_INVALID, f"The left image is {_size(left_grey)}, the right one {_size(right_grey)} pixels."
         )
+    for grey, name in ((left_grey, "left"), (right_grey, "right")):
+        check_picture(grey, name)
+    check_different(left_grey, right_grey)
     valid_left, valid_right, rig = None, None, None
     reference, table, relief = None, None, None
     disparity_range = (parameters.min_disparity_px, parameters.max_disparity_px)
@@ -169,6 +175,8 @@ def perceive(
         steps.done("rectification")
         if parameters.table.enabled:
             reference, table = align_table(pair, view.table_z_mm, parameters.table)
+            if table.refusal:
+                check_pair(pair, view.table_z_mm, view.max_height_mm)
             relief = measure_relief(pair, view.table_z_mm, reference)
             steps.done("table")
     if early is not None and _usable(early, rig, left_grey):

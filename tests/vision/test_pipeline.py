@@ -75,18 +75,19 @@ def test_every_step_is_timed_in_milliseconds_and_none_without_a_stopwatch() -> N
 
 
 @pytest.mark.parametrize("grey", [0, 128, 255])
-def test_constant_images_hold_nothing_but_background(grey: int) -> None:
+def test_constant_images_are_refused(grey: int) -> None:
     image = np.full((48, 64), grey, dtype=np.uint8)
-    perception = perceive(image, image, PARAMETERS)
-    assert not np.isfinite(perception.disparity_px).any()
-    assert perception.matches == ()
+    with pytest.raises(AlarmError, match="one grey") as caught:
+        perceive(image, image, PARAMETERS)
+    assert caught.value.alarm is Alarm.IMAGE_UNUSABLE
 
 
-def test_pure_noise_is_no_trouble() -> None:
-    generator = np.random.default_rng(2)
-    left, right = generator.integers(0, 256, (2, 60, 80), dtype=np.uint8)
-    perceive(left, right, PARAMETERS)
-    perceive(left, right, VisionParameters.faithful())
+def test_pure_noise_is_refused() -> None:
+    left, right = np.random.default_rng(2).integers(0, 256, (2, 60, 80), dtype=np.uint8)
+    for parameters in (PARAMETERS, VisionParameters.faithful()):
+        with pytest.raises(AlarmError, match="noise") as caught:
+            perceive(left, right, parameters)
+        assert caught.value.alarm is Alarm.IMAGE_UNUSABLE
 
 
 @pytest.mark.parametrize(

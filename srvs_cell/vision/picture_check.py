@@ -1,0 +1,205 @@
+"""Before the steps: whether there is a picture at all, and whether both pictures are of one scene from these poses.
+
+What cannot be seen must not be guessed: a lens cap, a lamp that blinds, two images that were exchanged or belong to
+different moves, and poses that are not those of the images have their own alarms instead of a table without parts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from srvs_cell.alarms import Alarm, AlarmError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srvs_cell.vision.rectification import RectifiedPair
+
+    Image = NDArray[np.uint8]
+
+_CELL_PX = 8
+"""Noise is averaged over squares of this side; anything that is seen covers one."""
+_FLAT_GREY = 1.5
+_NOISE_GREY = 15.0
+"""Standard deviation of white noise that hides every scene."""
+_WHITE = 0.8
+"""Neighbouring pixels of white noise differ twice by its variance: from this share on a picture is nothing else."""
+_PAIR_STRIDE = 4
+
+_UP = np.array([0.0, 0.0, 1.0])
+_SCALE = 2
+_HALF_BLOCK = 7
+"""Half the side of a block, in pixels of the halved image."""
+_ROWS = 6
+"""How far above and below its row a block is sought, halved pixels."""
+_BEYOND = 24
+"""How far outside the disparities that the poses allow a block is sought, halved pixels."""
+_MARGIN = 2.0
+"""What errors of calibration and poses may move a block, halved pixels."""
+_ON_ROW = 1.0
+_ON_TABLE = 1.5
+"""Likewise for what lies on the table; a halved pixel is 20 to 30 mm of height."""
+_LEAST_ON_TABLE = 0.1
+"""Share of the blocks that is table, its texture, shadows or parts' feet, wherever there are many."""
+_ALIKE = 0.8
+_STRUCTURE_GREY = 4.0
+_STRUCTURE_FACTOR = 4.0
+"""Standard deviation of a block, in grey values and in the noise's, from which on it has structure."""
+_MOST_BLOCKS = 60
+_FEWEST_BLOCKS = 12
+_FOUND = 0.4
+"""Share of the blocks that must be found where the poses allow: parts hide some of them, and noise others."""
+_TURNED = 2.5
+"""Rows by which the left and the right third of the picture differ where one camera is turned about its axis."""
+_THIRD = 1.0 / 3.0
+
+
+def check_picture(grey: Image, name: str) -> None:
+    """Refuse a picture that shows nothing.
+
+    Args:
+        grey: uint8, shape (H, W).
+        name: of the picture, for the message.
+
+    Raises:
+        AlarmError: IMAGE_UNUSABLE: of one grey, overexposed, or nothing but noise.
+    """
+    height, width = grey.shape
+    small = cv2.resize(grey.astype(np.float32), (width // _CELL_PX, height // _CELL_PX), interpolation=cv2.INTER_AREA)
+    darkest, brightest = float(small.min()), float(small.max())
+    if brightest - darkest <= _FLAT_GREY:
+        raise AlarmError(
+            Alarm.IMAGE_UNUSABLE, f"The {name} image is of one grey: {darkest:.0f} to {brightest:.0f} of 255."
+        )
+    rows = grey[::_PAIR_STRIDE].astype(np.float32)
+    variance = float(rows.var())
+    of_noise = float(np.mean((rows[:, 1:] - rows[:, :-1]) ** 2)) / 2.0
+    if of_noise > _NOISE_GREY**2 and of_noise > _WHITE * variance:
+        raise AlarmError(
+            Alarm.IMAGE_UNUSABLE, f"The {name} image is noise: {np.sqrt(of_noise):.0f} grey values from pixel to pixel."
+        )
+
+
+def check_different(left: Image, right: Image) -> None:
+    """Refuse two copies of one picture: no camera takes the same picture twice, moved or not.
+
+    Raises:
+        AlarmError: PAIR_INCONSISTENT.
+    """
+    if np.array_equal(left, right):
+        raise AlarmError(Alarm.PAIR_INCONSISTENT, "The left and the right image are the same picture.")
+
+
+def check_pair(pair: RectifiedPair, table_z_mm: float, max_height_mm: float) -> None:
+    """Refuse rectified pictures that do not show one scene on the table from their poses.
+
+    Blocks with structure are sought in the right picture: they should be on their own rows, between the table's
+    disparity and that of the highest part, and some of them on the table. Too few blocks tell nothing and pass.
+
+    Args:
+        pair: the rectified pictures.
+        table_z_mm: height of the table, base frame.
+        max_height_mm: greatest height of a part above it.
+
+    Raises:
+        AlarmError: PAIR_INCONSISTENT, saying where the blocks were found instead.
+    """
+    left, right = (
+        np.asarray(cv2.pyrDown(image.astype(np.float32)), dtype=np.float32) for image in (pair.left, pair.right)
+    )
+    least, greatest = (
+        np.array(pair.rig.plane_disparity(_UP, z_mm)) for z_mm in (table_z_mm, table_z_mm + max_height_mm)
+    )
+    found = []
+    for x, y in _structured(left, pair):
+        place = np.array([_SCALE * x, _SCALE * y, 1.0])
+        one = _sought(left, right, (x, y), (float(least @ place) / _SCALE, float(greatest @ place) / _SCALE))
+        if one is not None:
+            found.append(one)
+    if len(found) < _FEWEST_BLOCKS:
+        return
+    seen = [one for one in found if one.alike >= _ALIKE]
+    agreeing = [one for one in seen if abs(one.row) <= _ON_ROW and -_MARGIN <= one.above <= one.highest + _MARGIN]
+    on_table = sum(abs(one.above) <= _ON_TABLE for one in agreeing)
+    enough = len(agreeing) >= _FOUND * len(found) and abs(_turn(seen, left.shape[1])) < _TURNED
+    if enough and (len(agreeing) < _FEWEST_BLOCKS or on_table >= _LEAST_ON_TABLE * len(agreeing)):
+        return
+    detail = f"Of {len(found)} places with structure {len(agreeing)} are found where the poses allow"
+    if len(seen) < _FOUND * len(found):
+        detail += ", and most are found nowhere: exchanged images, or images of different scenes."
+    else:
+        rows = float(np.median([one.row for one in seen])) * _SCALE
+        above = float(np.median([one.above for one in seen])) * _SCALE
+        detail += (
+            f", {on_table} on the table; the disparities are {above:+.0f} px off the table's, the rows {rows:+.0f} px, "
+            f"{_SCALE * _turn(seen, left.shape[1]):+.0f} px from left to right: exchanged images, or poses or a table "
+            "height that are not theirs."
+        )
+    raise AlarmError(Alarm.PAIR_INCONSISTENT, detail)
+
+
+@dataclass(frozen=True)
+class _Sought:
+    """The best place of a block in the right picture; lengths in halved pixels.
+
+    Attributes:
+        alike: correlation there.
+        row: rows below its own.
+        x: column of the block.
+        above: disparity less that of the table.
+        highest: what that may be at most.
+    """
+
+    alike: float
+    row: float
+    x: float
+    above: float
+    highest: float
+
+
+def _turn(seen: list[_Sought], width: int) -> float:
+    """Return by how many rows blocks lie lower in the right third of the picture than in the left one."""
+    left = [one.row for one in seen if one.x < _THIRD * width]
+    right = [one.row for one in seen if one.x > (1.0 - _THIRD) * width]
+    return float(np.median(right) - np.median(left)) if left and right else 0.0
+
+
+def _structured(left: NDArray[np.float32], pair: RectifiedPair) -> list[tuple[int, int]]:
+    """Return the centres (x, y) of the blocks with the most structure in the halved left picture."""
+    side = 2 * _HALF_BLOCK + 1
+    mean = cv2.blur(left, (side, side))
+    deviation = np.sqrt(np.maximum(cv2.blur(left * left, (side, side)) - mean * mean, 0.0))
+    fine = left - cv2.GaussianBlur(left, (3, 3), 0.0)
+    noise = float(np.median(np.abs(fine)))
+    centres = np.s_[_HALF_BLOCK + _ROWS :: side]
+    seen = cv2.erode(pair.left_valid.astype(np.uint8), np.ones((2 * side, 2 * side), np.uint8), borderValue=0)
+    grid = deviation[centres, centres] * (seen[::_SCALE, ::_SCALE][centres, centres] > 0)
+    enough = max(_STRUCTURE_GREY, _STRUCTURE_FACTOR * noise)
+    rows, columns = np.nonzero(grid >= enough)
+    best = np.argsort(-grid[rows, columns], kind="stable")[:_MOST_BLOCKS]
+    start = _HALF_BLOCK + _ROWS
+    return [(start + side * int(columns[k]), start + side * int(rows[k])) for k in best]
+
+
+def _sought(
+    left: NDArray[np.float32], right: NDArray[np.float32], centre: tuple[int, int], disparities: tuple[float, float]
+) -> _Sought | None:
+    """Return where a block is found; None where the right picture does not show where it should be."""
+    x, y = centre
+    height, width = right.shape
+    least, greatest = disparities
+    low = int(np.floor(x - greatest)) - _BEYOND - _HALF_BLOCK
+    high = int(np.ceil(x - least)) + _BEYOND + _HALF_BLOCK + 1
+    top, bottom = y - _HALF_BLOCK - _ROWS, y + _HALF_BLOCK + _ROWS + 1
+    if x - greatest < _HALF_BLOCK or x - least >= width - _HALF_BLOCK or top < 0 or bottom > height:
+        return None
+    low, high = max(low, 0), min(high, width)
+    block = left[y - _HALF_BLOCK : y + _HALF_BLOCK + 1, x - _HALF_BLOCK : x + _HALF_BLOCK + 1]
+    scores = np.asarray(cv2.matchTemplate(right[top:bottom, low:high], block, cv2.TM_CCOEFF_NORMED))
+    row, column = np.unravel_index(int(scores.argmax()), scores.shape)
+    disparity = x - (low + int(column) + _HALF_BLOCK)
+    return _Sought(float(scores.max()), float(row) - _ROWS, float(x), disparity - least, greatest - least)

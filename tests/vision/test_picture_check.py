@@ -1,0 +1,129 @@
+"""What cannot be seen is refused with its own alarm, and what can be seen is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.sim.parts import CYLINDER
+from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.geometry import Transform
+from srvs_cell.vision import StereoView, VisionParameters, perceive
+from srvs_cell.vision.picture_check import check_pair, check_picture
+from srvs_cell.vision.rectification import rectify_pair
+from tests.vision.rendered import part, stereo_pair
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Scene = tuple[NDArray[np.uint8], NDArray[np.uint8], StereoView]
+
+SHAPE = (60, 80)
+
+
+def refusal(scene: Scene) -> AlarmError:
+    left, right, view = scene
+    with pytest.raises(AlarmError) as caught:
+        perceive(left, right, VisionParameters(), view=view)
+    return caught.value
+
+
+def checked(left: NDArray[np.uint8], right: NDArray[np.uint8], view: StereoView) -> None:
+    pair = rectify_pair(left, right, view.calibration, view.base_T_tcp_left, view.base_T_tcp_right)
+    check_pair(pair, view.table_z_mm, view.max_height_mm)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return stereo_pair([part(at_mm=(720.0, -60.0)), part(CYLINDER, (40.0, 40.0), 60.0, (780.0, 50.0), albedo=0.6)])
+
+
+@given(st.integers(0, 255), st.floats(0.0, 1.2), st.integers(0, 2**31))
+@settings(max_examples=25, deadline=None)
+def test_a_picture_of_one_grey_is_refused_whatever_its_grey_and_read_noise(grey: int, noise: float, seed: int) -> None:
+    picture = np.clip(np.rint(grey + np.random.default_rng(seed).normal(0.0, 0.25 * noise, SHAPE)), 0, 255)
+    with pytest.raises(AlarmError, match="one grey") as caught:
+        check_picture(picture.astype(np.uint8), "left")
+    assert caught.value.alarm is Alarm.IMAGE_UNUSABLE
+
+
+@given(st.integers(0, 2**31), st.floats(30.0, 300.0))
+@settings(max_examples=25, deadline=None)
+def test_pure_noise_is_refused(seed: int, sigma: float) -> None:
+    picture = np.clip(np.random.default_rng(seed).normal(128.0, sigma, SHAPE), 0, 255).astype(np.uint8)
+    with pytest.raises(AlarmError, match="noise") as caught:
+        check_picture(picture, "right")
+    assert caught.value.alarm is Alarm.IMAGE_UNUSABLE
+
+
+def test_a_real_picture_passes_darkened_noisy_and_half_overexposed(scene: Scene) -> None:
+    left = scene[0].astype(np.float64)
+    noise = np.random.default_rng(0).normal(0.0, 12.0, left.shape)
+    for picture in (left, 0.1 * left, left + noise, 2.5 * left):
+        check_picture(np.clip(picture, 0, 255).astype(np.uint8), "left")
+
+
+def test_a_good_pair_passes_at_any_brightness(scene: Scene) -> None:
+    left, right, view = scene
+    checked(left, right, view)
+    checked((0.4 * left).astype(np.uint8), (0.5 * right).astype(np.uint8), view)
+
+
+def test_an_overexposed_pair_is_refused(scene: Scene) -> None:
+    left, right, view = scene
+    white = tuple(np.clip(8.0 * image, 0, 255).astype(np.uint8) for image in (left, right))
+    assert refusal((white[0], white[1], view)).alarm is Alarm.IMAGE_UNUSABLE
+
+
+def test_exchanged_images_are_refused(scene: Scene) -> None:
+    left, right, view = scene
+    caught = refusal((right, left, view))
+    assert caught.alarm is Alarm.PAIR_INCONSISTENT
+    assert "exchanged images" in caught.detail
+
+
+def test_the_same_picture_twice_is_refused(scene: Scene) -> None:
+    left, _, view = scene
+    caught = refusal((left, left, view))
+    assert caught.alarm is Alarm.PAIR_INCONSISTENT
+    assert "same picture" in caught.detail
+
+
+def test_images_of_different_scenes_are_refused(scene: Scene) -> None:
+    left, right, view = scene
+    caught = refusal((left, np.ascontiguousarray(right[::-1]), view))
+    assert caught.alarm is Alarm.PAIR_INCONSISTENT
+    assert "different scenes" in caught.detail
+
+
+@pytest.mark.parametrize(
+    ("w_deg", "p_deg", "r_deg"), [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)]
+)
+def test_a_pose_that_is_turned_by_a_degree_is_refused(scene: Scene, w_deg: float, p_deg: float, r_deg: float) -> None:
+    left, right, view = scene
+    pose = view.base_T_tcp_right.to_xyzwpr()
+    turned = replace(pose, w_deg=pose.w_deg + w_deg, p_deg=pose.p_deg + p_deg, r_deg=pose.r_deg + r_deg)
+    with pytest.raises(AlarmError, match="poses or a table height") as caught:
+        checked(left, right, replace(view, base_T_tcp_right=Transform.from_xyzwpr("base", "tcp", turned)))
+    assert caught.value.alarm is Alarm.PAIR_INCONSISTENT
+
+
+def test_a_table_that_is_elsewhere_is_refused(scene: Scene) -> None:
+    left, right, view = scene
+    for off_mm in (-150.0, 100.0):
+        with pytest.raises(AlarmError, match="table height") as caught:
+            checked(left, right, replace(view, table_z_mm=view.table_z_mm + off_mm))
+        assert caught.value.alarm is Alarm.PAIR_INCONSISTENT
+
+
+def test_poses_that_make_no_baseline_are_refused(scene: Scene) -> None:
+    left, right, view = scene
+    there = view.base_T_tcp_left
+    assert refusal((left, right, replace(view, base_T_tcp_right=there))).alarm is Alarm.BASELINE_INVALID
+    back = replace(view, base_T_tcp_left=view.base_T_tcp_right, base_T_tcp_right=there)
+    assert refusal((left, right, back)).alarm is Alarm.BASELINE_INVALID
