@@ -145,16 +145,22 @@ class TableReference:
         doubtful = sigmas > 0.0
         return float(((self.errors[doubtful] / sigmas[doubtful]) ** 2).sum())
 
+    def at(self, point_mm: ArrayLike) -> tuple[Array, Array]:
+        """Return what to add to a triangulated point, shape (3,), and the systematic part of its covariance, 3x3.
+
+        Args:
+            point_mm: base frame, shape (3,).
+        """
+        jacobian = self._jacobian(point_mm)
+        return -jacobian @ self.errors, jacobian @ self.covariance @ jacobian.T
+
     def correction_mm(self, point_mm: ArrayLike) -> Array:
         """Return what to add to a triangulated point, base frame, shape (3,)."""
-        correction: Array = -self._jacobian(point_mm) @ self.errors
-        return correction
+        return self.at(point_mm)[0]
 
     def covariance_mm2(self, point_mm: ArrayLike) -> Array:
         """Return the systematic part of a corrected point's covariance, base frame, 3x3."""
-        jacobian = self._jacobian(point_mm)
-        covariance: Array = jacobian @ self.covariance @ jacobian.T
-        return covariance
+        return self.at(point_mm)[1]
 
     def _jacobian(self, point_mm: ArrayLike) -> Array:
         """Return how a triangulated point moves with each error, shape (3, 18), base frame."""

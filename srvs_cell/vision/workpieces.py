@@ -55,8 +55,8 @@ def measure_face(top: Top, rig: RectifiedRig, reference: TableReference | None) 
     if reference is None:
         systematic = rig.error_budget.systematic_mm2(centre)
     else:
-        systematic = reference.covariance_mm2(centre)
-        x_mm, y_mm, z_mm = (float(value) for value in centre + reference.correction_mm(centre))
+        correction_mm, systematic = reference.at(centre)
+        x_mm, y_mm, z_mm = (float(value) for value in centre + correction_mm)
         face = replace(face, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
     mm_per_px = (rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
     # edges that do not fit are another face's or a shadow's, and may have moved a side by some times their misfit
