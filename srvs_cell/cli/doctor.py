@@ -5,6 +5,9 @@ from typing import Annotated, Any
 
 import typer
 
+_SERVICE_CONFIG = Path("/etc/srvs-cell/cell.yaml")
+"""What the unit file runs."""
+
 
 def register(app: typer.Typer) -> None:
     """Add ``doctor``."""
@@ -13,7 +16,7 @@ def register(app: typer.Typer) -> None:
 
 def doctor(
     *,
-    config: Annotated[Path, typer.Option("--config", help="The cell's YAML file.")],
+    config: Annotated[Path, typer.Option("--config", help="The cell's YAML file.")] = _SERVICE_CONFIG,
     socket: Annotated[Path | None, typer.Option("--socket", help="Instead of the config's service.socket.")] = None,
     state_dir: Annotated[Path | None, typer.Option("--state-dir", help="Instead of service.state_dir.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,

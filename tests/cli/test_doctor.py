@@ -20,6 +20,7 @@ import yaml
 from drivers.sim.modbus_controller import ModbusController
 from drivers.sim.robotiq_double import RobotiqDouble
 from drivers.sim.robotiq_fingers import ScriptedFingers
+from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cli.main import run
 from srvs_cell.ports import RobotMode
 from tests.cli.test_operate import Daemon
@@ -200,6 +201,22 @@ def test_a_config_that_is_wrong_is_a_usage_error(site: Site, capsys: pytest.Capt
     assert printed.out == ""
     assert "6001 CONFIG_INVALID" in printed.err
     assert "devices.gripper.force_n" in printed.err
+
+
+def test_without_a_config_it_is_the_services(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Path] = []
+
+    def load(path: Path) -> None:
+        asked.append(path)
+        raise AlarmError(Alarm.CONFIG_INVALID, f"{path}: none here.")
+
+    monkeypatch.setattr("srvs_cell.config.load_config", load)
+    assert run(["doctor"]) == 2
+    assert "none here" in capsys.readouterr().err
+    unit = (Path(__file__).parent.parent.parent / "systemd" / "srvs-cell.service").read_text(encoding="utf-8")
+    assert f"--config {asked[0]}" in unit
 
 
 def test_a_state_folder_that_cannot_be_written(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
