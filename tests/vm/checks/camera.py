@@ -68,6 +68,21 @@ async def refused(camera: Camera) -> tuple[Alarm, float]:
     return alarm, took_s
 
 
+async def beginning_refused(camera: Camera) -> tuple[Alarm, float]:
+    """Connect, and activate in vain, because the stream does not begin; return the alarm and how long it took.
+
+    Raises:
+        AssertionError: the stream has begun.
+    """
+    await camera.connect()
+    started_s = time.monotonic()
+    try:
+        await camera.activate()
+    except PortError as error:
+        return error.alarm, time.monotonic() - started_s
+    raise AssertionError("the stream has begun")
+
+
 async def setting_refused(device: str, **settings: Any) -> str:
     """Connect with settings that the device does not take; return what the alarm says."""
     camera = make_camera(device, **settings)

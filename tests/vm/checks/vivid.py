@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm
-from tests.vm.checks.camera import grab, make_camera, refused, setting_refused, streaming
+from tests.vm.checks.camera import beginning_refused, grab, make_camera, refused, setting_refused, streaming
 from tests.vm.checks.commands import run, wait_until
 
 if TYPE_CHECKING:
@@ -55,9 +55,7 @@ async def _future() -> str:
     """At 5 frames a second vivid stamps a frame 180 ms after it hands it out."""
     camera = make_camera(_DEVICE, **_SIZE, fps=5.0)
     try:
-        await camera.connect()
-        await camera.activate()
-        alarm, took_s = await refused(camera)
+        alarm, took_s = await beginning_refused(camera)
         assert alarm is Alarm.PROTOCOL_ERROR, alarm.name
     finally:
         await camera.disconnect()
@@ -103,9 +101,7 @@ async def _no_stream() -> str:
     camera = make_camera(_DEVICE, **_SIZE)
     await asyncio.to_thread(_control, "inject_vidioc_streamon_error=1")
     try:
-        await camera.connect()
-        await camera.activate()
-        alarm, took_s = await refused(camera)
+        alarm, took_s = await beginning_refused(camera)
     finally:
         await camera.disconnect()
     async with streaming(_DEVICE, **_SIZE) as again:
