@@ -11,6 +11,7 @@ from drivers.sim.doubles import FakeCamera, World
 from srvs_cell.cell import Command, Devices, Unit
 from tests.cell.support import CALIBRATION, HEIGHT_PX, WIDTH_PX, build, connected, running, seen, three_blocks
 from tests.drivers.fanuc.bench import Bench, bench
+from tests.drivers.fanuc.karel_bench import KarelBench, karel_bench
 from tests.drivers.fanuc.rmi_bench import RmiBench, rmi_bench
 from tests.drivers.stepped import PointArm
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from srvs_cell.ports import Gripper
     from tests.cell.support import Cell
     from tests.drivers.stepped import SteppedTime
+
+AnyBench = Bench | RmiBench | KarelBench
 
 _CLOSE, _OPEN = 1, 2
 _HELD, _FULLY_OPEN, _CLOSED_EMPTY = 1, 2, 3
@@ -65,7 +68,7 @@ class WireCell:
     """
 
     cell: Cell
-    b: Bench | RmiBench
+    b: AnyBench
     point: GrippingArm
 
     @property
@@ -104,17 +107,23 @@ class WireCell:
         await self.settled()
 
 
-def _through_the_robot(b: Bench | RmiBench) -> Gripper:
+def _through_the_robot(b: AnyBench) -> Gripper:
     return RobotIoGripper(RobotIoGripperConfig(), b.clock, b.arm)
 
 
 @contextlib.asynccontextmanager
 async def wire_cell(
-    wire: str, folder: Path, make_gripper: Callable[[Bench | RmiBench], Gripper] = _through_the_robot
+    wire: str, folder: Path, make_gripper: Callable[[AnyBench], Gripper] = _through_the_robot
 ) -> AsyncIterator[WireCell]:
-    """Run a cell on ``modbus`` or ``rmi``."""
-    opened = bench(make_point=GrippingArm) if wire == "modbus" else rmi_bench(make_point=GrippingArm)
-    async with opened as b:
+    """Run a cell on ``modbus``, ``rmi`` or ``karel``."""
+    async with contextlib.AsyncExitStack() as stack:
+        b: AnyBench
+        if wire == "modbus":
+            b = await stack.enter_async_context(bench(make_point=GrippingArm))
+        elif wire == "rmi":
+            b = await stack.enter_async_context(rmi_bench(make_point=GrippingArm))
+        else:
+            b = await stack.enter_async_context(karel_bench(make_point=GrippingArm))
         assert isinstance(b.point, GrippingArm)
         workers = 0
         wire_busy = b.clock.busy

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from srvs_cell.alarms import Alarm
-from tests.drivers.faults.table import TABLE, UNKNOWN, Ending
+from tests.drivers.faults.table import KAREL, TABLE, UNKNOWN, Ending
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "faults.md"
 
@@ -18,17 +18,19 @@ holds of the move under way, *gripper* what the cell knows of it. Where the outc
 `resolve gripper empty|holding` comes first; then `clear` and `reset`. In every row the test also checks that nothing
 moves after the fault has been dealt with: not by itself, and not by resolve and clear. CONNECTION_LOST,
 CONNECTION_TIMEOUT or ROBOT_FAULT may come beside the alarm that is named, from whoever reads the arm's status at the
-same time. A job that goes on (no alarm) needs nobody.
+same time. A job that goes on (no alarm) needs nobody. The KAREL line protocol is tested over TCP here, over both of its
+carriers beneath the cell.
 
-| fault | strikes in | Modbus TCP | RMI | note |
-|---|---|---|---|---|
+| fault | strikes in | Modbus TCP | RMI | KAREL | note |
+|---|---|---|---|---|---|
 """
 
 
 def page() -> str:
     """Return the page."""
     rows = [
-        f"| {fault.title} | {fault.when} | {_ending(fault.modbus)} | {_ending(fault.rmi)} | {fault.note} |"
+        f"| {fault.title} | {fault.when} | {_ending(fault.modbus)} | {_ending(fault.rmi)} "
+        f"| {_ending(KAREL[fault.strike, fault.when])} | {fault.note} |"
         for fault in TABLE
     ]
     return _HEAD + "\n".join(rows) + "\n"

@@ -6,18 +6,24 @@ import contextlib
 from typing import TYPE_CHECKING, Final
 
 from drivers.fanuc.modbus import FanucModbusArm
+from drivers.sim.karel_controller import KarelController
+from drivers.sim.karel_server import KarelFault
 from drivers.sim.modbus_controller import ModbusController
 from drivers.sim.modbus_server import WireFault
 from drivers.sim.rmi_controller import RmiController
 from drivers.sim.rmi_server import RmiFault
 from srvs_cell.ports import PortError, RobotMode
 from tests.drivers.fanuc.bench import Bench
+from tests.drivers.fanuc.karel_bench import KarelBench
+from tests.drivers.fanuc.karel_bench import make_arm as make_karel_arm
 from tests.drivers.fanuc.rmi_bench import make_arm
 from tests.drivers.stepped import SteppedClock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
+    from drivers.fanuc.karel import FanucKarelArm
+    from drivers.fanuc.rmi import FanucRmiArm
     from tests.drivers.faults.cell import WireCell
 
 _HASTY_S: Final = 0.1
@@ -33,9 +39,11 @@ def _hasten(c: WireCell) -> None:
         c.b.arm._session._timeout_s = _HASTY_S
 
 
-def _break(c: WireCell, modbus: WireFault, rmi: RmiFault) -> None:
+def _break(c: WireCell, modbus: WireFault, rmi: RmiFault, karel: KarelFault) -> None:
     if isinstance(c.b, Bench):
         c.b.controller.server.fault = modbus
+    elif isinstance(c.b, KarelBench):
+        c.b.controller.wire.fault = karel
     else:
         c.b.controller.server.fault = rmi
 
@@ -50,41 +58,48 @@ def _slow_down(c: WireCell, times: float) -> None:
 
 def mend(c: WireCell) -> None:
     """Take away whatever was done."""
-    _break(c, WireFault.NONE, RmiFault.NONE)
+    _break(c, WireFault.NONE, RmiFault.NONE, KarelFault.NONE)
     point, controller = c.point, c.b.controller
     point.mode, point.pendant_enabled, point.servo_on = RobotMode.AUTO, False, True
     if isinstance(controller, ModbusController):
         controller.heartbeat_frozen = False
+    if isinstance(c.b, KarelBench):
+        c.b.controller.frozen = False
     if isinstance(c.b, Bench):
         return
     c.b.arm._session._timeout_s = 10.0
 
 
 async def cut(c: WireCell) -> None:
-    c.b.controller.server.cut()
+    if isinstance(c.b, KarelBench):
+        c.b.controller.wire.cut()
+    else:
+        c.b.controller.server.cut()
 
 
 async def half_a_packet(c: WireCell) -> None:
-    _break(c, WireFault.HALF_PACKET, RmiFault.HALF_PACKET)
+    if isinstance(c.b, KarelBench):
+        _hasten(c)
+    _break(c, WireFault.HALF_PACKET, RmiFault.HALF_PACKET, KarelFault.HALF_LINE)
 
 
 async def silence(c: WireCell) -> None:
     _hasten(c)
-    _break(c, WireFault.DEAF, RmiFault.DEAF)
+    _break(c, WireFault.DEAF, RmiFault.DEAF, KarelFault.DEAF)
 
 
 async def reply_for_another(c: WireCell) -> None:
     _hasten(c)
-    _break(c, WireFault.LATE, RmiFault.WRONG_SEQUENCE)
+    _break(c, WireFault.LATE, RmiFault.WRONG_SEQUENCE, KarelFault.WRONG_SEQUENCE)
 
 
 async def duplicate_reply(c: WireCell) -> None:
-    _break(c, WireFault.DUPLICATE, RmiFault.DUPLICATE)
+    _break(c, WireFault.DUPLICATE, RmiFault.DUPLICATE, KarelFault.DUPLICATE)
 
 
 async def nonsense(c: WireCell) -> None:
     _hasten(c)
-    _break(c, WireFault.NONSENSE, RmiFault.NONSENSE)
+    _break(c, WireFault.NONSENSE, RmiFault.NONSENSE, KarelFault.NONSENSE)
 
 
 async def emergency_stop(c: WireCell) -> None:
@@ -111,11 +126,13 @@ async def rebooted(c: WireCell) -> None:
 
 async def second_client(c: WireCell) -> None:
     clock = SteppedClock(c.b.time)
-    other = (
-        FanucModbusArm(c.b.arm._config.model_copy(update={"timeout_s": _HASTY_S}), clock)
-        if isinstance(c.b, Bench)
-        else make_arm(clock, port=c.b.port, timeout_s=_HASTY_S)
-    )
+    other: FanucModbusArm | FanucRmiArm | FanucKarelArm
+    if isinstance(c.b, Bench):
+        other = FanucModbusArm(c.b.arm._config.model_copy(update={"timeout_s": _HASTY_S}), clock)
+    elif isinstance(c.b, KarelBench):
+        other = make_karel_arm(clock, c.b.carrier, c.b.address, timeout_s=_HASTY_S)
+    else:
+        other = make_arm(clock, port=c.b.port, timeout_s=_HASTY_S)
     with contextlib.suppress(PortError):
         await other.connect()
         raise AssertionError("two clients hold one controller")
@@ -131,6 +148,10 @@ async def part_lost(c: WireCell) -> None:
 
 
 async def robot_heartbeat_frozen(c: WireCell) -> None:
+    if isinstance(c.b, KarelBench):
+        _hasten(c)
+        c.b.controller.frozen = True
+        return
     assert isinstance(c.b.controller, ModbusController)
     c.b.controller.heartbeat_frozen = True
     _slow_down(c, 50.0)  # long enough for the driver's patience
@@ -138,6 +159,10 @@ async def robot_heartbeat_frozen(c: WireCell) -> None:
 
 async def pc_heartbeat_frozen(c: WireCell) -> None:
     """The process hangs: it neither counts nor reads."""
+    if isinstance(c.b, KarelBench):
+        _slow_down(c, 50.0)
+        c.b.time.advance_to(c.b.time.now_s() + 2.5)
+        return
     assert isinstance(c.b, Bench)
     heartbeat = c.b.arm._heartbeat
     assert heartbeat is not None
@@ -149,6 +174,8 @@ async def paused_on_the_pendant(c: WireCell) -> None:
     controller = c.b.controller
     if isinstance(controller, RmiController):
         controller.pause()
+    elif isinstance(controller, KarelController):
+        controller.hold()
     else:
         c.point.stop()
         controller._robot.machine.paused = True

@@ -64,7 +64,7 @@ TABLE: Final = (
     Fault("cut", "Cable cut before any move", "idle", _LOST, _LOST),
     Fault(
         "cut", "Cable cut during a move", _MOVE, _NOT_KNOWN, _NOT_KNOWN,
-        "Modbus: the robot's watchdog ends the move within 3 s. RMI: taken to go on to its target.",
+        "Modbus, KAREL: the robot ends the move within 3 s. RMI: taken to go on to its target.",
     ),
     Fault("cut", "Cable cut after the moves", "suspended", _LOST, _LOST),
     Fault("cut", "Cable cut while a part is carried", _CARRY, _NOT_KNOWN, _NOT_KNOWN, "The gripper's outputs stay."),
@@ -78,7 +78,7 @@ TABLE: Final = (
     ),
     Fault(
         "duplicate_reply", "A reply that comes twice", _MOVE, _GOES_ON, _NOT_KNOWN,
-        "Modbus: the second one's transaction has ended, it is passed over. RMI: it may be anybody's.",
+        "Modbus, KAREL: the second one's number has been answered, it is passed over. RMI: it may be anybody's.",
     ),
     Fault(
         "emergency_stop", "E-stop, standing", "idle", Ending("ROBOT_FAULT", "Aborted", "-", "empty"),
@@ -104,13 +104,24 @@ TABLE: Final = (
     Fault("rebooted", "Controller rebooted during a move", _MOVE, _NOT_KNOWN, _NOT_KNOWN),
     Fault(
         "second_client", "A second client connects during a move", _MOVE, _GOES_ON, _GOES_ON,
-        "It is refused: Modbus closes it, RMI reports SESSION_HELD to it.",
+        "It is refused: Modbus closes it, RMI and KAREL report SESSION_HELD to it.",
     ),
     Fault("another_writes_commands", "Another client writes a command during a move", _MOVE, _NOT_KNOWN, None),
     Fault("part_lost", "The gripper loses the part on the way", _CARRY, _DROPPED, _DROPPED),
-    Fault("robot_heartbeat_frozen", "The robot's heartbeat freezes during a move", _MOVE, _FROZEN, None),
+    Fault(
+        "robot_heartbeat_frozen", "The robot's heartbeat freezes during a move", _MOVE, _FROZEN, None,
+        "KAREL: the program that would stop the arm stands still itself; the move goes on to its target.",
+    ),
     Fault(
         "pc_heartbeat_frozen", "The PC's heartbeat freezes during a move", _MOVE, _FROZEN, None,
         "The robot ends the move by itself. RMI has no heartbeat: a PC that hangs lets the move go on to its target.",
     ),
 )  # fmt: skip
+
+KAREL: Final = {
+    **{(fault.strike, fault.when): fault.rmi for fault in TABLE},
+    ("duplicate_reply", _MOVE): _GOES_ON,
+    ("robot_heartbeat_frozen", _MOVE): _NOT_KNOWN,
+    ("pc_heartbeat_frozen", _MOVE): _FROZEN,
+}
+"""What the rows end in on the KAREL line protocol: as on RMI, but for its heartbeats and its memory for numbers."""

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srvs_cell.ports import Gripper
-    from tests.drivers.fanuc.bench import Bench
-    from tests.drivers.fanuc.rmi_bench import RmiBench
+    from tests.drivers.faults.cell import AnyBench
 
 _CLOSE_OUTPUT, _OPEN_OUTPUT = 1, 2
 
@@ -49,7 +48,7 @@ class _Robotiq:
         self.fingers: _Fingers
         self.driver: RobotiqGripper
 
-    def make(self, b: Bench | RmiBench) -> Gripper:
+    def make(self, b: AnyBench) -> Gripper:
         assert isinstance(b.point, GrippingArm)
         self.fingers = _Fingers(b.time.now_s, b.point)
         self.double = RobotiqDouble(self.fingers, b.time.now_s)
