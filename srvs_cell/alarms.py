@@ -47,7 +47,7 @@ class Alarm(Enum):
     """Every failure that a person can meet."""
 
     # fmt: off
-    CONNECTION_REFUSED = AlarmDefinition(1001, _C, Reaction.ABORT, "The controller is reachable but refuses the connection.", "Check that the robot's server option is enabled (Modbus: R553, $SNPX_PARAM.$NUM_MODBUS > 0, power-cycled; RMI: R912) and the port in the config.")
+    CONNECTION_REFUSED = AlarmDefinition(1001, _C, Reaction.ABORT, "The controller is reachable but refuses the connection.", "Check that the robot's server option is enabled (Modbus: R553, $SNPX_PARAM.$NUM_MODBUS > 0, power-cycled; RMI: R912; KAREL: srvstcp runs and its server tag is started) and the port in the config.")
     CONNECTION_TIMEOUT = AlarmDefinition(1002, _C, Reaction.ABORT, "The device did not answer in time.", "Check cable, IP address, unit id and firewall; then clear and reset.")
     CONNECTION_LOST = AlarmDefinition(1003, _C, Reaction.ABORT, "The connection to the controller was cut.", "Check the cable and the controller's power; clear, reset, and let the cell look again before it moves.")
     HEARTBEAT_LOST = AlarmDefinition(1004, _C, Reaction.ABORT, "The robot's heartbeat has stopped.", "Check that the heartbeat task runs on the robot (RUN SRVS_HB) and that the controller is not in a fault.")
@@ -55,7 +55,7 @@ class Alarm(Enum):
     PROTOCOL_VERSION = AlarmDefinition(1006, _C, Reaction.ABORT, "The robot's program is of another protocol version, or its registers are not mapped.", "Load the robot programs of this release and check $SNPX_ASG; unassigned words read 0.")
     DEVICE_UNAVAILABLE = AlarmDefinition(1007, _C, Reaction.ABORT, "A device is not connected.", "Check power and cable; clear to reconnect.")
     CLOCK_LOST = AlarmDefinition(1008, _C, Reaction.ABORT, "The simulated cell's clock has stopped.", "Start the simulated cell again.")
-    SESSION_HELD = AlarmDefinition(1009, _C, Reaction.ABORT, "Somebody else holds the robot's motion session.", "End the other client (another PC, a tool, a hung program), or wait for the controller's idle limit $RMI_CFG.$DISCNT_TIM; then clear.")
+    SESSION_HELD = AlarmDefinition(1009, _C, Reaction.ABORT, "Somebody else holds the robot's motion session.", "End the other client (another PC, a tool, a hung program), or wait until the controller lets go of it (RMI: $RMI_CFG.$DISCNT_TIM; KAREL: 5 s of silence); then clear.")
 
     ROBOT_NOT_READY = AlarmDefinition(2001, _E, Reaction.STOP, "The robot is not ready to be moved by this PC.", "Switch to AUTO, disable the pendant, clear robot faults, then reset.")
     ROBOT_FAULT = AlarmDefinition(2002, _C, Reaction.ABORT, "The robot controller reports a fault.", "Read the alarm on the pendant, remove its cause, reset the controller, then clear and reset the cell.")
