@@ -7,8 +7,10 @@ OUT ?= srvs-cell-demo
 # contrib and plain OpenCV share a folder: the peers' environment is their own
 PEERS := .benchmarks/peers
 PEERS_STAMP := $(PEERS)/.installed
+PLAN_PEERS := .benchmarks/plan-peers
+PLAN_PEERS_STAMP := $(PLAN_PEERS)/.installed
 
-.PHONY: help venv demo test test-vm check wire-peers bench bench-peers format clean
+.PHONY: help venv demo test test-vm check wire-peers bench bench-peers bench-plan-peers format clean
 
 help:
 	@echo "make demo   the paper's whole job on a simulated cell, with a report in $(OUT)/"
@@ -18,6 +20,7 @@ help:
 	@echo "make wire-peers  drivers and doubles judged by clients and servers that others wrote"
 	@echo "make bench  the figures of docs/benchmarks.md"
 	@echo "make bench-peers  our planes beside other stereo matchers, in an environment of their own"
+	@echo "make bench-plan-peers  our planner beside OR-Tools CP-SAT, in an environment of their own"
 
 $(STAMP): requirements-dev.txt pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("srvs_cell needs Python 3.11 or newer; set PYTHON=") if sys.version_info < (3, 11) else None'
@@ -56,6 +59,14 @@ $(PEERS_STAMP): benchmarks/peers-requirements.txt
 
 bench-peers: $(PEERS_STAMP)
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(PEERS)/bin/python -m benchmarks.peers
+
+$(PLAN_PEERS_STAMP): benchmarks/plan-peers-requirements.txt
+	$(PYTHON) -m venv $(PLAN_PEERS)
+	$(PLAN_PEERS)/bin/python -m pip install --quiet -r $<
+	touch $@
+
+bench-plan-peers: $(PLAN_PEERS_STAMP)
+	$(PLAN_PEERS)/bin/python -m benchmarks.plan_peers
 
 format: $(STAMP)
 	$(BIN)/ruff check --fix .

@@ -106,7 +106,7 @@ class PlanningParameters:
     ] = None
     # A cell that waits for a proof wastes more time than the shorter travel saves: less patience than the default.
     limits: SearchLimits = Field(
-        default_factory=lambda: SearchLimits(max_moves_search=200_000, max_travel_search=100_000)
+        default_factory=lambda: SearchLimits(max_moves_search=60_000, max_travel_search=60_000)
     )
 
     @property

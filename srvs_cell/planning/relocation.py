@@ -128,7 +128,7 @@ def plan_relocation(
     found = sum(place.kind is PlaceKind.BUFFER for place in table.problem.places)
     if found and not parameters.buffer_places_mm:
         for buffers in range(found + 1, parameters.max_found_buffers + 1):
-            if answer.status is not PlanStatus.INFEASIBLE:
+            if has_plan(answer):
                 break
             try:
                 wider = table_problem(workpieces, parameters, workspace, buffers, rule=rule, hand=hand)
