@@ -27,6 +27,9 @@ _FAILED_GRABS: Final = 3
 """So many failures in a row end the stream: an unplugged camera fails at once and for ever."""
 
 _RETRY_S: Final = 0.05
+_FIRST_PICTURES: Final = 3
+"""So many pictures of a stream that begins are looked at: a camera that compresses may begin with torn ones."""
+
 _OPEN_TIMEOUT_S: Final = 10.0
 """Real seconds: a device that hangs in opening must not let a clear hang."""
 
@@ -175,7 +178,7 @@ class GrabbingCamera:
             self._lifecycle = Lifecycle.ACTIVE
             if self._first_frame_timeout_s is not None:
                 try:
-                    await self.grab(float("-inf"), self._first_frame_timeout_s)
+                    await self._first_picture(self._first_frame_timeout_s)
                 except BaseException:
                     self._stopping.set()  # who asked is told at once; the device may hold the thread for a while
                     self._lifecycle = Lifecycle.INACTIVE
@@ -242,6 +245,17 @@ class GrabbingCamera:
         if self._capture is None:
             raise NotConnectedError(Alarm.CAMERA_UNAVAILABLE, f"{self._name} is not connected.")
         return self._capture
+
+    async def _first_picture(self, timeout_s: float) -> None:
+        """Wait for the stream to begin; its first pictures may be torn."""
+        for left in reversed(range(_FIRST_PICTURES)):
+            try:
+                await self.grab(float("-inf"), timeout_s)
+            except FrameError as error:
+                if error.alarm is not Alarm.IMAGE_INVALID or not left:
+                    raise
+            else:
+                return
 
     async def _opened(self) -> Capture:
         """Open the device within its time; one that comes to be open later is closed again."""

@@ -106,7 +106,17 @@ async def test_pictures_of_another_size_are_found_when_the_stream_begins() -> No
             await b.camera.activate()
         assert wrong.value.alarm is Alarm.IMAGE_INVALID
         assert "(32, 24)" in wrong.value.detail
-        assert b.camera.counters["invalid"] == 1
+        assert b.camera.counters["invalid"] == 3
+
+
+async def test_a_stream_may_begin_with_torn_pictures() -> None:
+    async with bench() as b:
+        whole, torn = b.video.retrieve, iter(range(2))
+        b.video.retrieve = lambda: whole() if next(torn, None) is None else (False, None)  # type: ignore[method-assign]
+        await b.camera.connect()
+        await b.camera.activate()
+        assert b.camera.counters["invalid"] == 2
+        await b.camera.grab(b.clock.now_s(), 1.0)
 
 
 async def test_a_device_that_hangs_in_opening_is_given_up_and_closed_when_it_opens_after_all() -> None:
@@ -162,7 +172,7 @@ async def test_a_camera_that_stays_frozen_is_lost_and_back_after_a_thaw_without_
         with pytest.raises(NotConnectedError) as lost:
             await b.camera.grab(b.clock.now_s() + 1.0, 30.0)
         assert lost.value.alarm is Alarm.CAMERA_UNAVAILABLE
-        b.video.holds_s = None
+        b.video.holds_s, b.video = None, ScriptedVideo(b.time)
         await going_on(b, b.camera.connect())
         await b.camera.activate()
         await b.camera.grab(b.clock.now_s(), 1.0)

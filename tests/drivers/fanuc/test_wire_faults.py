@@ -18,7 +18,8 @@ from srvs_cell.ports import (
 )
 from tests.drivers.fanuc.bench import HOME, TARGET, Bench, bench
 
-_FAULTS = [fault for fault in WireFault if fault is not WireFault.NONE]
+_HARMLESS = {WireFault.NONE, WireFault.DUPLICATE}
+_FAULTS = [fault for fault in WireFault if fault not in _HARMLESS]
 
 
 async def _watchdog_stops(b: Bench) -> Xyzwpr:
@@ -44,6 +45,14 @@ async def test_a_fault_of_the_wire_in_mid_move_leaves_the_outcome_unknown(fault:
         b.controller.server.fault = WireFault.NONE
         stood = await _watchdog_stops(b)
         assert stood != TARGET
+        assert b.controller.motions_started == 1
+
+
+async def test_answers_that_come_twice_are_told_apart_by_their_transaction() -> None:
+    async with bench() as b:
+        await b.ready()
+        b.break_wire(WireFault.DUPLICATE)
+        assert await b.arm.move_linear(TARGET, 100.0) == TARGET
         assert b.controller.motions_started == 1
 
 
