@@ -181,7 +181,7 @@ class Service:
     # -- restart ------------------------------------------------------------------------------------------------------
 
     def _hangs(self) -> str:
-        """A stopped process gives no sign of life, and does not hear the signal that ends others either."""
+        """A process that is stopped gives no sign of life."""
         before, process = int(_shown("NRestarts")), int(_shown("MainPID"))
         assert process > 0, "the daemon does not run"
         os.kill(process, signal.SIGSTOP)
