@@ -27,7 +27,7 @@ from srvs_cell.ports import (
     PortError,
     RobotMode,
 )
-from tests.drivers.fanuc.bench import HOME, IMPATIENT_S, SPEED_MM_S, TARGET
+from tests.drivers.fanuc.bench import HOME, PATIENT_S, SPEED_MM_S, TARGET
 from tests.drivers.fanuc.karel_bench import CARRIERS, karel_bench, make_arm
 from tests.drivers.stepped import SteppedClock, SteppedTime
 
@@ -138,7 +138,7 @@ async def test_a_second_client_is_told_and_the_first_one_moves_on(refuses: bool)
         assert isinstance(carrier, TcpCarrier)
         carrier.refuses_second = refuses
         with pytest.raises(NotConnectedError) as error:
-            await make_arm(b.clock, "tcp", b.address, timeout_s=IMPATIENT_S / 4).connect()
+            await make_arm(b.clock, "tcp", b.address, timeout_s=PATIENT_S if refuses else 0.1).connect()
         assert error.value.alarm is (Alarm.SESSION_HELD if refuses else Alarm.CONNECTION_TIMEOUT)
         assert "another one is there" in error.value.detail or "no other PC" in error.value.detail
         assert await task == TARGET
@@ -174,7 +174,7 @@ async def test_what_answers_must_be_the_robots_program(answer: bytes, alarm: Ala
 
     served = asyncio.Event()
     server = await asyncio.start_server(serve, "127.0.0.1", 0)
-    arm = make_arm(_clock(), "tcp", str(server.sockets[0].getsockname()[1]), timeout_s=0.1)
+    arm = make_arm(_clock(), "tcp", str(server.sockets[0].getsockname()[1]), timeout_s=0.3)
     try:
         with pytest.raises(PortError) as error:
             await arm.connect()

@@ -91,6 +91,7 @@ def test_the_robot_computes_the_same_checksum(text: bytes, sequence: int) -> Non
 @settings(max_examples=60, deadline=None)
 def test_no_garbage_moves_the_robot_or_ends_its_program(pieces: list[bytes]) -> None:
     c = _talk()
+    c.sequence = 10  # the same lines in every example
     c.ready()
     for piece in pieces:
         c.send(piece)
@@ -104,6 +105,7 @@ def test_no_garbage_moves_the_robot_or_ends_its_program(pieces: list[bytes]) -> 
 @settings(max_examples=60, deadline=None)
 def test_no_damaged_move_moves_the_robot(data: st.DataObject) -> None:
     c = _talk()
+    c.sequence = 10  # the same lines in every example
     c.ready()
     line = c.line("MOVL", 600_000, 0, 400_000, 180_000, 0, 0, 20_000)
     at = data.draw(st.integers(0, len(line) - 4))

@@ -189,8 +189,9 @@ async def test_a_pc_that_stands_still_finds_its_move_stopped_by_the_watchdog() -
 
 @pytest.mark.parametrize("carrier", CARRIERS)
 async def test_a_robot_whose_program_stands_still_is_lost_within_its_time(carrier: str) -> None:
-    async with karel_bench(carrier, timeout_s=HASTY_S) as b:
+    async with karel_bench(carrier) as b:
         await b.arm.connect()
+        b.arm._session._timeout_s = HASTY_S
         b.controller.frozen = True
         await b.clock.sleep(1.0)
         assert b.arm.lifecycle is Lifecycle.DISCONNECTED
@@ -290,8 +291,9 @@ async def test_sequence_numbers_go_round() -> None:
 @settings(max_examples=6, deadline=None)
 def test_no_garbage_from_the_wire_moves_the_arm_or_hangs_the_driver(pieces: list[bytes]) -> None:
     async def run() -> None:
-        async with karel_bench(timeout_s=HASTY_S) as b:
+        async with karel_bench() as b:
             await b.ready()
+            b.arm._session._timeout_s = HASTY_S
             for piece in pieces:
                 b.controller.wire.send_raw(piece)
             with contextlib.suppress(PortError):
