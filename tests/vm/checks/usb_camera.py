@@ -1,7 +1,7 @@
 """A USB camera in user space, for a kernel with vhci-hcd and uvcvideo: USB/IP over a socket pair.
 
 The kernel's own uvcvideo makes /dev/video of it, with what vivid lacks: exposure controls and a real unplug. Its
-pictures are of one brightness, which follows exposure and brightness as they are set.
+pictures are a ramp whose brightness follows exposure and brightness as they are set.
 
 ``python -m tests.vm.checks.usb_camera`` plugs it in and obeys lines on stdin: plug, unplug, freeze, thaw, error, short.
 Each is answered with a line when it is done.
@@ -44,7 +44,7 @@ _PAYLOAD_BYTES: Final = 16384
 _END_OF_HEADER, _ERROR, _END_OF_FRAME = 0x80, 0x40, 0x02
 _MANUAL: Final = 1
 _DEFAULT_EXPOSURE: Final = 157
-_BLACK, _WHITE = 16, 235
+_BLACK, _WHITE, _NO_COLOUR = 16, 235, 128
 
 
 @dataclass
@@ -203,11 +203,12 @@ class UsbCamera:
     # -- streaming endpoint -------------------------------------------------------------------------------------------
 
     def _picture(self) -> bytes:
+        """Return a ramp from left to right, as bright as exposure and brightness say."""
         width, height = usb.SIZES_PX[self._format[0] - 1]
         exposure = self.exposure.value if self.automatic.value == _MANUAL else _DEFAULT_EXPOSURE
         luma = _BLACK + exposure * 100 // _DEFAULT_EXPOSURE + self.brightness.value - self.brightness.default
-        luma = min(_WHITE, max(_BLACK, luma))
-        return bytes([luma, 128, luma, 128]) * (width * height // 2)
+        ramp = (luma // 2 + luma * column // width for column in range(width))
+        return b"".join(bytes([min(_WHITE, max(_BLACK, grey)), _NO_COLOUR]) for grey in ramp) * height
 
     def _stream(self, connection: socket.socket) -> None:
         frame_id, due_s = 0, time.monotonic()
@@ -215,6 +216,8 @@ class UsbCamera:
             while self._connection is connection:
                 fault, self._fault = self._fault, ""
                 picture = self._picture()
+                if fault:  # white, so that it shows where it is handed out all the same
+                    picture = bytes([_WHITE, _NO_COLOUR]) * (len(picture) // 2)
                 if fault == "short":
                     picture = picture[: len(picture) // 2]
                 flags = _END_OF_HEADER | frame_id | (_ERROR if fault == "error" else 0)
