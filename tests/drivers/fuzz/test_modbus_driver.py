@@ -23,7 +23,7 @@ SEQUENCE_REGISTER = struct.pack(">BH", 16, registers.SEQUENCE_WORD - 1)
 
 
 @given(st.sampled_from([PROTOCOL, 0, 4202]), WORDS, st.booleans())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_any_words_are_a_reading_or_another_protocol(protocol: int, words: list[int], hold: bool) -> None:
     words[0] = protocol
     try:

@@ -75,7 +75,7 @@ def test_any_packet_is_read_or_named(packet: object) -> None:
 
 
 @given(st.binary(max_size=200))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_any_line_is_read_or_named(line: bytes) -> None:
     read(line)
 

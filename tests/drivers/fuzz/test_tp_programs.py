@@ -60,7 +60,7 @@ def judge(sources: dict[str, str]) -> None:
 @example(["LBL[1]", "JMP LBL[1]"])
 @example(["CALL MAIN"])
 @example(["RUN MAIN"])
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_any_statements(statements: list[str]) -> None:
     judge({"MAIN.LS": program("MAIN", *statements)})
 
