@@ -256,7 +256,7 @@ async def test_a_controller_that_does_not_abort_its_program_is_unknown() -> None
 async def test_an_output_whose_write_is_not_answered_is_unknown_and_not_written_again(fault: KarelFault) -> None:
     async with karel_bench() as b:
         await b.ready()
-        _break(b, fault, "WDOU")
+        _break_once(b, fault, "WDOU")
         with pytest.raises(OutcomeUnknownError):
             await b.arm.write_output(5, on=True)
         assert b.controller.wire.received.count("WDOU") == 1
