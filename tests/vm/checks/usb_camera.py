@@ -80,6 +80,7 @@ class UsbCamera:
         self._changed = threading.Condition()
         self._connection: socket.socket | None = None
         self._wanted: collections.deque[int] = collections.deque()
+        self._cancelled: set[int] = set()
         self._format = (1, usb.INTERVALS_100NS[0])
         self._frozen = False
         self._fault = ""
@@ -90,6 +91,7 @@ class UsbCamera:
         with self._changed:
             self._connection, self._frozen, self._fault = ours, False, ""
             self._wanted.clear()
+            self._cancelled.clear()
         with kernels:
             _ATTACH.write_text(f"{_PORT} {kernels.fileno()} {_DEVICE_ID} {_HIGH_SPEED}", encoding="ascii")
         for body in (self._serve, self._stream):
@@ -101,7 +103,8 @@ class UsbCamera:
             connection, self._connection = self._connection, None
             self._changed.notify_all()
         if connection is not None:
-            connection.shutdown(socket.SHUT_RDWR)
+            with contextlib.suppress(OSError):  # the kernel has let go of it already
+                connection.shutdown(socket.SHUT_RDWR)
 
     def freeze(self, *, frozen: bool) -> None:
         """Send no pictures any more, or go on; the device stays."""
@@ -128,14 +131,18 @@ class UsbCamera:
                     self._answer(connection, sequence, self._control(setup, data), length if inwards else None)
                 else:
                     with self._changed:
-                        self._wanted.append(sequence)
+                        if sequence not in self._cancelled:
+                            self._wanted.append(sequence)
                         self._changed.notify_all()
 
     def _unlink(self, connection: socket.socket, sequence: int, victim: int) -> None:
+        """Cancel a request; the kernel sometimes sends the cancellation before the request itself."""
         with self._changed:
             found = victim in self._wanted
             if found:
                 self._wanted.remove(victim)
+            else:
+                self._cancelled.add(victim)
             connection.sendall(_UNLINK_REPLY.pack(_RET_UNLINK, sequence, 0, 0, 0, _RESET if found else 0))
 
     def _answer(self, connection: socket.socket, sequence: int, answer: bytes | None, asked: int | None) -> None:
