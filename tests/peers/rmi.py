@@ -23,12 +23,13 @@ def environment(folder: Path) -> Path:
     """Return the Python of the peers' environment, made where there is none."""
     python = folder / "venv" / "bin" / "python"
     done = folder / "venv" / ".installed"
-    if not done.exists():
+    wanted = (HERE / "requirements.txt").read_text(encoding="utf-8")
+    if not done.exists() or done.read_text(encoding="utf-8") != wanted:
         made = subprocess.run([sys.executable, "-m", "venv", str(folder / "venv")], check=False, capture_output=True)
         install = [str(python), "-m", "pip", "install", "--quiet", "-r", str(HERE / "requirements.txt")]
         if made.returncode != 0 or subprocess.run(install, check=False, capture_output=True).returncode != 0:
             raise SkippedError("pip cannot install the peers of tests/peers/requirements.txt")
-        done.touch()
+        done.write_text(wanted, encoding="utf-8")
     return python
 
 
