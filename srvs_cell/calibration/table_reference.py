@@ -145,6 +145,14 @@ class TableReference:
         doubtful = sigmas > 0.0
         return float(((self.errors[doubtful] / sigmas[doubtful]) ** 2).sum())
 
+    def doubted(self, surprise: float) -> Self:
+        """Return the same with the doubt that a surprise asks for, where the errors themselves cannot be told.
+
+        Args:
+            surprise: squared size of errors in sigmas, as `surprise` of a measurement that was refused.
+        """
+        return replace(self, covariance=self.covariance * max(1.0, surprise / BASIS))
+
     def at(self, point_mm: ArrayLike) -> tuple[Array, Array]:
         """Return what to add to a triangulated point, shape (3,), and the systematic part of its covariance, 3x3.
 

@@ -34,6 +34,10 @@ _BORDER_PX = 9
 _SOBEL = 8.0 * _SCALE
 """What a 3x3 Sobel operator makes of a grey value per pixel of the full image."""
 _NOISE_FACTOR = 1.6
+_TEXTURED_PX = 0.1
+"""A block whose displacement is known better than this has texture."""
+_MOST = 0.5
+_COEFFICIENTS = 10
 _SLACK_PX = (0.5, 0.3, 0.2, 0.15, 0.15)
 """Displacement that a block may show and its residual may stem from, iteration by iteration."""
 _LOOSE_SIGMA = 3.0
@@ -79,18 +83,18 @@ def align_table(
 
     Returns:
         The errors of calibration and poses as far as the table tells, none where it tells too little or contradicts
-        the calibration; and what it showed.
+        the calibration, with so much more doubt as what it showed contradicts it; and what it showed.
     """
     rig = pair.rig
     height, width = pair.left.shape
     prior = TableReference.unmeasured(rig.error_budget, (rig.cx_px, rig.cy_px), table_z_mm, (width, height))
     grid = _Grid.of(pair, table_z_mm)
     u_basis, v_basis = prior.basis(grid.x_px, grid.y_px, grid.disparity_px)
-    reference, used = prior, np.zeros(grid.count, dtype=np.bool_)
+    reference, used, rejected = prior, np.zeros(grid.count, dtype=np.bool_), 0.0
     for slack_px in _SLACK_PX:
         field = reference.expected_field
         now = grid.linearised(u_basis @ field, v_basis @ field, slack_px)
-        used = now.usable
+        used, rejected = now.usable, now.rejected
         if used.sum() < parameters.min_blocks:
             break
         basis = np.stack([u_basis, v_basis], axis=1)[used]
@@ -98,17 +102,21 @@ def align_table(
         information = np.einsum("bik,bij,bjl->kl", basis, weights, basis)
         vector = information @ field + np.einsum("bik,bij,bj->k", basis, weights, now.displacement[used])
         reference = prior.measured(information, vector)
-    shown = _Shown.of(reference, pair)
+    shown, surprise = _Shown.of(reference, pair), reference.surprise()
     refusal = ""
-    if used.sum() < parameters.min_blocks:
+    if used.sum() < parameters.min_blocks and rejected > _MOST:
+        # the table deviates by more than the search reaches: at least that is the doubt
+        surprise = _COEFFICIENTS * (_SLACK_PX[0] / _Shown.of(prior, pair).sigma_px) ** 2
+        refusal = f"the table contradicts the calibration: {100.0 * rejected:.0f} % of its picture is not as predicted"
+    elif used.sum() < parameters.min_blocks:
         refusal = f"{used.sum()} blocks of table in view, {parameters.min_blocks} needed"
     elif shown.sigma_px > parameters.max_doubt * _Shown.of(prior, pair).sigma_px:
         refusal = f"the table shows too little: {shown.sigma_px:.3f} px of doubt are left"
-    elif (surprise := reference.surprise()) > parameters.max_surprise:
+    elif surprise > parameters.max_surprise:
         refusal = f"the table contradicts the calibration: chi squared {surprise:.0f}"
     check = TableCheck(int(used.sum()), shown.u_px, shown.v_px, shown.sigma_px, shown.correction_mm, refusal)
     if refusal:
-        return prior, replace(check, correction_mm=(0.0, 0.0, 0.0))
+        return prior.doubted(surprise), replace(check, correction_mm=(0.0, 0.0, 0.0))
     return reference, check
 
 
@@ -145,10 +153,12 @@ class _Linearised:
     """B blocks: which are table, what displacement (u, v) they still show, how sure it is, and by how much it is less.
 
     ``information`` has shape (B, 2, 2) for the image noise alone; ``inflation`` is the variance of the blocks'
-    displacements over what that noise explains.
+    displacements over what that noise explains; ``rejected`` is the share of the blocks with texture that are not
+    usable.
     """
 
     usable: NDArray[np.bool_]
+    rejected: float
     displacement: Array
     information: Array
     inflation: float
@@ -253,7 +263,9 @@ class _Grid:
         usable &= (np.abs(displacement) <= slack_px + _LOOSE_SIGMA * sigma).all(axis=1)
         chi2 = np.einsum("bi,bij,bj->b", displacement, information, displacement)
         inflation = max(1.0, float(np.median(chi2[usable])) / _MEDIAN_CHI2) if usable.any() else 1.0
-        return _Linearised(usable, displacement, information, inflation)
+        textured = self.valid & (sigma < _TEXTURED_PX).all(axis=1)
+        rejected = float(np.mean(~usable[textured])) if textured.any() else 0.0
+        return _Linearised(usable, rejected, displacement, information, inflation)
 
     def _spread(self, values: Array) -> NDArray[np.float32]:
         """Return values given at the blocks' centres at every pixel."""

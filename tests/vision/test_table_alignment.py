@@ -107,6 +107,18 @@ def test_a_table_that_contradicts_the_calibration_is_refused() -> None:
     assert not np.any(reference.errors)
 
 
+def test_a_refused_calibration_is_doubted_as_much_as_the_table_contradicts_it() -> None:
+    point = (500.0, 50.0, TABLE_Z_MM + 40.0)
+    calm, check = align_table(table_pair(0.0), TABLE_Z_MM, TableParameters(max_doubt=1e-6))
+    assert "too little" in check.refusal
+    shifted, check = align_table(table_pair(0.9, 0.6), TABLE_Z_MM, TableParameters())
+    assert "contradicts the calibration" in check.refusal
+    assert np.trace(shifted.covariance_mm2(point)) > 9.0 * np.trace(calm.covariance_mm2(point))
+    bare, check = align_table(table_pair(0.9, 0.6, contrast=0.0), TABLE_Z_MM, TableParameters())
+    assert "contradicts" not in check.refusal
+    assert np.trace(bare.covariance_mm2(point)) == pytest.approx(np.trace(calm.covariance_mm2(point)), rel=0.5)
+
+
 def test_a_box_on_the_table_does_not_disturb_the_measurement() -> None:
     box = cuboid(500.0, 50.0, 60.0, 20.0, (90.0, 60.0), 200)
     _, alone = align_table(table_pair(0.2, 0.1), TABLE_Z_MM, TableParameters())
