@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.camera.v4l2 import DRIVER
 from drivers.clock.system import SystemClock
+from srvs_cell.alarms import Alarm
 from srvs_cell.ports import DriverContext, PortError
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
-    from srvs_cell.alarms import Alarm
     from srvs_cell.ports import Camera, Frame
 
 GRACE_S = 1.0
@@ -89,6 +89,7 @@ async def setting_refused(device: str, **settings: Any) -> str:
     try:
         await camera.connect()
     except PortError as error:
+        assert error.alarm is Alarm.CAMERA_SETTING, f"{error.alarm.name}: {error.detail}"
         return f"{error.alarm.name}: {error.detail}"
     await camera.disconnect()
     raise AssertionError(f"the camera took {settings}")
