@@ -115,7 +115,7 @@ async def _frozen(usb: UsbCameraProcess) -> str:
         alarm, took_s = await refused(camera)
         assert alarm is Alarm.CAMERA_TIMEOUT, alarm.name
         await asyncio.to_thread(usb.tell, "thaw")
-        await grab(camera, 10.0)
+        await grab(camera)
     return f"{alarm.name} after {took_s:.1f} s; goes on when it thaws"
 
 
@@ -132,7 +132,7 @@ async def _ended(usb: UsbCameraProcess) -> str:
         await asyncio.to_thread(usb.tell, "thaw")
         await camera.connect()
         await camera.activate()
-        await grab(camera, 10.0)
+        await grab(camera)
     return f"{alarm.name} after {took_s:.1f} s; the same object connects again"
 
 
@@ -144,5 +144,5 @@ async def _unplugged(usb: UsbCameraProcess) -> str:
         plugged_s = await asyncio.to_thread(usb.plug)
         await camera.connect()
         await camera.activate()
-        await grab(camera, 10.0)
+        await grab(camera)
     return f"{alarm.name} after {took_s:.1f} s; back {plugged_s:.1f} s after the plug, the same object connects again"

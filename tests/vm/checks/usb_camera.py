@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -214,8 +215,7 @@ class UsbCamera:
         width, height = usb.SIZES_PX[self._format[0] - 1]
         exposure = self.exposure.value if self.automatic.value == _MANUAL else _DEFAULT_EXPOSURE
         luma = _BLACK + exposure * 100 // _DEFAULT_EXPOSURE + self.brightness.value - self.brightness.default
-        ramp = (luma // 2 + luma * column // width for column in range(width))
-        return b"".join(bytes([min(_WHITE, max(_BLACK, grey)), _NO_COLOUR]) for grey in ramp) * height
+        return _ramp(luma, width) * height
 
     def _stream(self, connection: socket.socket) -> None:
         frame_id, due_s = 0, time.monotonic()
@@ -251,6 +251,13 @@ class UsbCamera:
                 return False
             self._reply(connection, self._wanted.popleft(), 0, len(payload), payload)
             return True
+
+
+@lru_cache
+def _ramp(luma: int, width: int) -> bytes:
+    """Return one row of the picture, YUYV."""
+    greys = (luma // 2 + luma * column // width for column in range(width))
+    return b"".join(bytes([min(_WHITE, max(_BLACK, grey)), _NO_COLOUR]) for grey in greys)
 
 
 def main() -> None:

@@ -118,5 +118,5 @@ async def _removed() -> str:
         await asyncio.to_thread(wait_until, _DEVICE, Path(_DEVICE).exists, 10.0)
         await camera.connect()
         await camera.activate()
-        await grab(camera, 10.0)
+        await grab(camera)
     return f"{alarm.name} after {took_s:.1f} s; the same object connects again"
