@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
 HEXAGON_RATIO = float(np.cos(np.pi / 6.0))
 """Across flats over across corners."""
-LEAST_INCLINATION_DEG = 5.0
-"""A rectangle that was fitted with a free slope and leans less is a level one."""
 _CIRCLE_CORNERS = 24
 _HEXAGON_CORNERS = 6
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.faces import HEXAGON_RATIO, LEAST_INCLINATION_DEG, Face, Figure, inclined_faces
+from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, inclined_faces
 from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ _MOST_OF_OUTLINE = 1.5
 _BEST = 4
 _BEST_OF_KIND = 2
 _START_SLOPE = 0.36
+_LEAST_INCLINATION_DEG = 5.0
 _GENTLE_SLOPE = 0.2
 _CORNERS = 3
 _CANDIDATES = 4
@@ -145,7 +146,7 @@ def _misfit(fit: FaceFit) -> float:
 
 
 def _is_inclined(fit: FaceFit) -> bool:
-    return fit.face.inclination_deg >= LEAST_INCLINATION_DEG
+    return fit.face.inclination_deg >= _LEAST_INCLINATION_DEG
 
 
 def _fits_of(

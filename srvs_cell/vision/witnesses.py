@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srvs_cell.vision.face_fit import SETTLE, fit_faces
-from srvs_cell.vision.faces import LEAST_INCLINATION_DEG, Figure, inclined_faces
 from srvs_cell.vision.other_sides import other_rectangles
 from srvs_cell.vision.profile_fit import fit_profiles
 
@@ -36,9 +35,6 @@ _DOUBTFUL_PX2 = 0.08
 """A rectangle whose misfit is less is not asked what else it may be."""
 _CLEAR_GAIN = 0.7
 """Another rectangle must have less than this share of the misfit."""
-_TILTED_GAIN = 0.5
-"""The same for an inclined one, which has one parameter more."""
-_GENTLE_SLOPE = 0.2
 _ROUNDS = 2
 
 
@@ -58,6 +54,14 @@ class Witnesses:
     def misfit_px2(self) -> float:
         """How badly the figure suits both, to compare figures at one place."""
         return self.by_edges.rms_px**2 + self.by_profiles.rms_px**2
+
+    def suits_better(self, other: Witnesses, gain: float) -> bool:
+        """Whether the misfit is less than a share of another figure's, and neither witness speaks against it."""
+        return (
+            self.misfit_px2 < gain * other.misfit_px2
+            and self.by_edges.rms_px <= other.by_edges.rms_px
+            and self.by_profiles.rms_px <= other.by_profiles.rms_px
+        )
 
     def agreed(self) -> FaceFit:
         """Return the better of both fits: that to the grey values where it is good.
@@ -113,42 +117,31 @@ class Bench:
         return fit_faces(faces, inclined, self.fields, self.rig, SETTLE, self.min_gradient)
 
     def settled(self, known: Sequence[Witnesses]) -> list[Witnesses]:
-        """Return faces as they are, or as another rectangle that suits the pictures clearly better."""
+        """Return faces as they are, or as a rectangle with other sides that suits the pictures clearly better."""
         best = list(known)
         changed = set(range(len(best)))
         for _ in range(_ROUNDS):
-            changed = self._improve(best, changed, self._beside, _CLEAR_GAIN)
-        self._improve(best, set(range(len(best))), _tilted, _TILTED_GAIN)
+            changed = self._improve(best, changed)
         return best
 
-    def _beside(self, face: Face) -> list[Face]:
-        return other_rectangles(face, self.fields[0], self.rig, self.min_gradient)
-
-    def _improve(
-        self, best: list[Witnesses], numbers: set[int], others_of: Callable[[Face], list[Face]], gain: float
-    ) -> set[int]:
-        """Replace those of some faces that one of its others suits better by a factor; returns which it replaced."""
+    def _improve(self, best: list[Witnesses], numbers: set[int]) -> set[int]:
+        """Replace some faces that another rectangle suits better; returns which it replaced."""
         others = [
             (number, face)
             for number in sorted(numbers)
             if best[number].misfit_px2 > _DOUBTFUL_PX2
-            for face in others_of(best[number].agreed().face)
+            for face in other_rectangles(best[number].agreed().face, self.fields[0], self.rig, self.min_gradient)
         ]
         fitted = self.by_edges([face for _, face in others])
         there = [(number, fit) for (number, _), fit in zip(others, fitted, strict=True) if fit is not None]
         improved: set[int] = set()
         for (number, _), other in zip(there, self.by_profiles([fit for _, fit in there]), strict=True):
-            if other is None or 0.0 < other.agreed().face.inclination_deg < LEAST_INCLINATION_DEG:
+            if other is None:
                 continue
-            if other.misfit_px2 < best[number].misfit_px2 * (1.0 if number in improved else gain):
+            if other.suits_better(best[number], 1.0 if number in improved else _CLEAR_GAIN):
                 best[number] = other
                 improved.add(number)
         return improved
-
-
-def _tilted(face: Face) -> list[Face]:
-    """Return a level rectangle inclined along each of its sides."""
-    return inclined_faces(face, _GENTLE_SLOPE) if face.figure is Figure.RECTANGLE and face.slope_u == 0.0 else []
 
 
 def _centre(face: Face) -> Array:

@@ -132,21 +132,3 @@ def test_grey_values_that_fit_badly_leave_it_to_the_edges() -> None:
     agreed = Witnesses(FaceFit(face, np.eye(3), 0.5, 1.0), FaceFit(lost, np.eye(3), 0.9, 1.0)).agreed()
     assert agreed.face == face
     assert agreed.covariance_mm2[2, 2] >= 81.0
-
-
-def test_a_wedge_that_was_taken_for_a_level_block_is_tilted() -> None:
-    part = replace(wedge(560.0, 130.0, 10.0, 40.0, 30.0, (60.0, 40.0), 190), side_grey=150)
-    bench = bench_of([part])
-    level = seen_as(replace(part.face, slope_u=0.0), bench)
-    (settled,) = bench.settled([level])
-    face = settled.agreed().face
-    assert face.inclination_deg == pytest.approx(part.face.inclination_deg, abs=2.0)
-    assert face.z_mm == pytest.approx(part.face.z_mm, abs=1.5)
-
-
-def test_a_block_is_not_tilted() -> None:
-    bench = bench_of([BOX])
-    doubted = seen_as(BOX.face, bench)
-    doubted = replace(doubted, by_edges=replace(doubted.by_edges, rms_px=0.4))
-    (settled,) = bench.settled([doubted])
-    assert settled.agreed().face.slope_u == 0.0
