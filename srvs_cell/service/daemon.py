@@ -20,7 +20,7 @@ from srvs_cell.service.equipment import make_unit
 from srvs_cell.service.listeners import lock, make_directory, serving, tcp_listener, unix_listener
 from srvs_cell.service.logs import configure_logs
 from srvs_cell.service.systemd import notify
-from srvs_cell.service.watchdog import feed_watchdog, settle_period_s
+from srvs_cell.service.watchdog import end_watch, feed_watchdog, settle_period_s
 
 if TYPE_CHECKING:
     import socket
@@ -112,6 +112,7 @@ async def _operate(
             _log_failures(ended)
         finally:
             notify("STOPPING=1")
+            end_watch(watchdog_s)
             _log.info("stopping", asked=stopping.is_set(), state=unit.snapshot()["state"])
             await _end(unit, life)
             closing.set()

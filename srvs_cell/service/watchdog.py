@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 _SIGNS_PER_PERIOD: Final = 3
 _ROUNDS_PER_PERIOD: Final = _SIGNS_PER_PERIOD / (_SIGNS_PER_PERIOD - 1)
 
+_END_S: Final = 120.0
+"""More than the unit file's TimeoutStopSec."""
+
 _log = structlog.stdlib.get_logger("srvs_cell.watchdog")
 
 
@@ -48,6 +51,12 @@ def settle_period_s(config: CellConfig) -> float | None:
     )
     ask_for_watchdog_period(least_s)
     return least_s
+
+
+def end_watch(period_s: float | None) -> None:
+    """Leave the end to TimeoutStopSec: a computation that is under way is waited for without signs of life."""
+    if period_s is not None:
+        ask_for_watchdog_period(max(period_s, _END_S))
 
 
 async def feed_watchdog(unit: Unit, life: asyncio.Task[None], period_s: float | None) -> None:

@@ -65,6 +65,18 @@ def test_a_period_that_would_kill_a_healthy_daemon_is_lengthened_and_said(
     assert "WatchdogSec is too short" in said.out + said.err
 
 
+def test_the_end_is_bounded_by_the_time_to_stop_and_not_by_signs_of_life(sent: list[str]) -> None:
+    unit = (ROOT / "systemd" / "srvs-cell.service").read_text(encoding="utf-8")
+    to_stop_s = float(unit.split("\nTimeoutStopSec=")[1].split("\n")[0])
+    watchdog.end_watch(None)
+    assert sent == []
+    watchdog.end_watch(15.0)
+    watchdog.end_watch(600.0)
+    lengthened_s = [float(line.removeprefix("WATCHDOG_USEC=")) / 1e6 for line in sent]
+    assert lengthened_s[0] > to_stop_s
+    assert lengthened_s[1] == 600.0
+
+
 def test_a_driver_that_does_not_say_how_patient_it_is_changes_nothing(sent: list[str]) -> None:
     cell = config("fanuc-modbus", status_interval_s=9.0)
     arm = replace(cell.devices.arm, settings=cell.devices.gripper.settings)
