@@ -22,9 +22,11 @@ import cv2
 import numpy as np
 import yaml
 from scipy.optimize import linear_sum_assignment
+from scipy.stats import chi2
 
 from srvs_cell.calibration import Calibration
 from srvs_cell.geometry import Transform, Xyzwpr, wrap_angle_deg
+from srvs_cell.scene import UNKNOWN_KIND
 from srvs_cell.vision import StereoView, VisionParameters, perceive
 from srvs_cell.vision.overlay import draw_locations, draw_matches
 
@@ -50,6 +52,8 @@ class Found:
     height_error_mm: float | None = None
     yaw_error_deg: float | None = None
     offset_mm: tuple[float, float, float] | None = None
+    inside_95: bool | None = None
+    """Whether the truth is inside the ellipsoid that holds it in 95 % of the cases; None for unknown shapes."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +134,12 @@ def _compare(scene: str, one: dict[str, Any], workpiece: Workpiece | None) -> Fo
         abs(workpiece.height_mm - one["height_mm"]),
         yaw_error,
         (float(offset[0]), float(offset[1]), float(offset[2])),
+        None if workpiece.kind == UNKNOWN_KIND else _inside(offset, workpiece),
     )
+
+
+def _inside(offset_mm: np.ndarray[Any, Any], workpiece: Workpiece) -> bool:
+    return float(offset_mm @ np.linalg.solve(workpiece.covariance_mm2, offset_mm)) <= float(chi2.ppf(0.95, df=3))
 
 
 def evaluate(folder: Path, scenes: Sequence[str], pictures: Path | None = None) -> list[SceneResult]:
@@ -169,6 +178,7 @@ def summary(results: Sequence[SceneResult]) -> dict[str, float | int]:
         "height_error_mean_mm": _mean(heights),
         "yaw_error_mean_deg": _mean(yaws),
         "yaw_error_max_deg": float(yaws.max(initial=0.0)),
+        "inside_95_share": _mean(np.array([one.inside_95 for one in seen if one.inside_95 is not None], dtype=float)),
         "milliseconds": _mean(np.array([result.milliseconds for result in results])),
     }
 
@@ -207,7 +217,7 @@ def main() -> None:
     names = sorted({result.scene.split("/", maxsplit=1)[0] for result in results})
     print(
         f"{'set':<6}{'found':>9}{'spurious':>9}{'kind ok':>8}{'mean mm':>9}{'median':>8}{'max':>8}"
-        f"{'height':>8}{'yaw deg':>8}{'max':>7}{'ms':>7}"
+        f"{'height':>8}{'yaw deg':>8}{'max':>7}{'in 95 %':>9}{'ms':>7}"
     )
     for name in [*names, "all"]:
         row = summary([result for result in results if name in {"all", result.scene.split("/", maxsplit=1)[0]}])
@@ -215,7 +225,7 @@ def main() -> None:
             f"{name:<6}{row['found']:>5}/{row['objects']:<3}{row['spurious']:>9}{row['kind_right']:>8}"
             f"{row['error_mean_mm']:>9.3f}{row['error_median_mm']:>8.3f}{row['error_max_mm']:>8.2f}"
             f"{row['height_error_mean_mm']:>8.3f}{row['yaw_error_mean_deg']:>8.2f}{row['yaw_error_max_deg']:>7.2f}"
-            f"{row['milliseconds']:>7.0f}"
+            f"{100.0 * row['inside_95_share']:>7.1f} %{row['milliseconds']:>7.0f}"
         )
 
 
