@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from srvs_cell.vision.rectification import RectifiedRig
 
 _HEIGHTS = 8
-_KEPT_HEIGHTS = 3
 _INCLINED_STRIDE = 2
 """Inclined faces reach over more heights than level ones: every second one is enough for them."""
 _MARGIN_PX = 3
@@ -46,7 +45,7 @@ _START_SLOPE = 0.36
 _LEAST_INCLINATION_DEG = 5.0
 _GENTLE_SLOPE = 0.2
 _CORNERS = 3
-_CANDIDATES = 4
+_CANDIDATES = 6
 _SAME_MM = 4.0
 """Fits whose centres are nearer to each other than this came to one place."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -98,12 +97,13 @@ def fit_rising(
 
 
 def _different(fits: list[FaceFit]) -> list[FaceFit]:
-    """Return the first few fits that are not of the same place."""
+    """Return the first few fits that are not of the same figure at the same place."""
     kept: list[FaceFit] = []
     for fit in fits:
         if len(kept) == _CANDIDATES:
             break
-        if all(_apart_mm(fit.face, one.face) > _SAME_MM for one in kept):
+        same = (one.face for one in kept if one.face.figure is fit.face.figure)
+        if all(_apart_mm(fit.face, face) > _SAME_MM for face in same):
             kept.append(fit)
     return kept
 
@@ -152,15 +152,15 @@ def _is_inclined(fit: FaceFit) -> bool:
 def _fits_of(
     seed: list[tuple[float, Array]], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
 ) -> list[FaceFit]:
-    """Return the fits that one seed leads to: scouted at each height, then as each figure at the best heights."""
-    level = [_rectangle(border, z_mm) for z_mm, border in seed]
-    inclined = [face for rectangle in level[::_INCLINED_STRIDE] for face in inclined_faces(rectangle, _START_SLOPE)]
-    scouted = fit_profiles(level, [False] * len(level), pictures, rig, table_z_mm, SCOUT)
-    misfits = [np.inf if fit is None else fit.rms_px for fit in scouted]
-    best = [seed[number] for number in np.argsort(misfits)[:_KEPT_HEIGHTS]]
-    starts = [*inclined, *(face for z_mm, border in best for face in _figures(border, z_mm))]
-    second = sorted(_fitted(starts, pictures, rig, table_z_mm, SCOUT), key=lambda fit: fit.rms_px)
-    return _fitted([fit.face for fit in _promising(second)], pictures, rig, table_z_mm, REACH)
+    """Return the fits that one seed leads to: each figure is scouted at each height, the promising ones are fitted."""
+    inclined = [
+        face
+        for z_mm, border in seed[::_INCLINED_STRIDE]
+        for face in inclined_faces(_rectangle(border, z_mm), _START_SLOPE)
+    ]
+    starts = [*inclined, *(face for z_mm, border in seed for face in _figures(border, z_mm))]
+    scouted = sorted(_fitted(starts, pictures, rig, table_z_mm, SCOUT), key=_misfit)
+    return _fitted([fit.face for fit in _promising(scouted)], pictures, rig, table_z_mm, REACH)
 
 
 def _planes_inside(left: PlaneImage, outline: Array) -> list[Array]:
