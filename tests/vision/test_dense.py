@@ -112,7 +112,9 @@ def test_without_matches_there_are_no_surfaces_and_nothing_is_filled() -> None:
     image = PlaneImage(blank, np.zeros((40, 60), dtype=np.int32), ())
     parameters = replace(VisionParameters(), dense=DenseParameters(enabled=True))
     assert group_surfaces(image, image, [], parameters).surfaces == ()
-    assert np.isnan(perceive(blank, blank, parameters).disparity_px).all()
+    left, right = blank.copy(), blank.copy()
+    left[:, 30:], right[:, :30], right[:, 30:] = 220, 150, 20
+    assert np.isnan(perceive(left, right, parameters).disparity_px).all()
 
 
 def test_the_paper_does_not_fill() -> None:

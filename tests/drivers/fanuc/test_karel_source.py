@@ -110,7 +110,8 @@ def test_no_damaged_move_moves_the_robot(data: st.DataObject) -> None:
     line = c.line("MOVL", 600_000, 0, 400_000, 180_000, 0, 0, 20_000)
     at = data.draw(st.integers(0, len(line) - 4))
     changed = line[:at] + bytes([data.draw(st.integers(0, 255))]) + line[at + data.draw(st.integers(0, 2)) :]
-    if changed != line:
+    # an empty line before a whole one damages nothing
+    if changed.strip(b"\r\n") != line.strip(b"\r\n"):
         c.send(changed)
         c.send(b"\r\n")
         c.pass_s(0.5)
