@@ -24,12 +24,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.sim.arm import CLOSE_OUTPUT, HELD_INPUT, OPEN_INPUT, OPEN_OUTPUT, SimArm
+from drivers.sim.controlled_arm import MotionRefusedError
 from drivers.sim.doubles import FakeArm, FakeCamera, FakeGripper, StepClock
 from drivers.sim.doubles import World as NoWorld
 from drivers.sim.gripper_geometry import GripperGeometry
 from drivers.sim.imperfections import LEVELS
 from drivers.sim.kinematics import Kinematics
-from drivers.sim.modbus_controller import MotionRefusedError
 from drivers.sim.parts import CYLINDER, KINDS
 from drivers.sim.scenario import ScenarioParameters, _shape
 from drivers.sim.simulation import OBSERVE_POSE, TABLE_CENTRE_MM

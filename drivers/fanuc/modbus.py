@@ -9,11 +9,12 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drivers.fanuc import judgement, registers
 from drivers.fanuc.modbus_diagnosis import diagnose_modbus, peek_inputs_modbus
 from drivers.fanuc.registers import Command, Snapshot
+from drivers.fanuc.settings import MotionSettings
 from drivers.fanuc.wire import ModbusWire
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
@@ -36,18 +37,13 @@ if TYPE_CHECKING:
     from srvs_cell.ports import Clock, Finding, RobotStatus
 
 
-class FanucModbusConfig(BaseModel):
+class FanucModbusConfig(MotionSettings):
     """The robot's part of the cell's YAML."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     host: str = Field(default="127.0.0.1", min_length=1, description="the controller's address or name")
     port: int = Field(default=502, ge=1, le=65535, description="``$SNPX_PARAM.$MODBUS_PORT``")
     unit_id: int = Field(default=1, ge=1, le=247, description="``$SNPX_PARAM.$MODBUS_ADR``")
     timeout_s: float = Field(default=1.0, gt=0.0, le=10.0, description="real seconds for one request on the wire")
-    poll_s: float = Field(
-        default=0.05, ge=0.01, le=1.0, description="clock seconds between two readings while a move is under way"
-    )
     heartbeat_s: float = Field(
         default=0.25,
         ge=0.05,
@@ -65,26 +61,8 @@ class FanucModbusConfig(BaseModel):
         default=4, ge=1, le=4096, description="DO that resets the controller's fault and restarts the program"
     )
     reset_timeout_s: float = Field(default=10.0, gt=0.0, le=120.0, description="clock seconds that a reset may take")
-    joint_speed_mm_s: float = Field(
-        default=300.0,
-        ge=1.0,
-        le=5000.0,
-        description="what the TCP covers at 100 % of a joint move at the least, for the time a move may take",
-    )
-    turn_speed_deg_s: float = Field(
-        default=45.0, ge=1.0, le=720.0, description="what the wrist turns at the least, likewise"
-    )
     stop_timeout_s: float = Field(
         default=3.0, ge=0.2, le=30.0, description="clock seconds at 100 % override that a stop may take to be confirmed"
-    )
-    move_grace_s: float = Field(
-        default=3.0, ge=0.2, le=60.0, description="clock seconds added to the time a move may take"
-    )
-    arrival_tolerance_mm: float = Field(
-        default=0.5, gt=0.0, le=10.0, description="how far a finished move may end from its target"
-    )
-    arrival_tolerance_deg: float = Field(
-        default=0.2, gt=0.0, le=5.0, description="how far a finished move may end from its target"
     )
 
     @property

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from drivers.sim.modbus_controller import MotionRefusedError
+from drivers.sim.controlled_arm import MotionRefusedError
 from drivers.sim.motion import Motion, MotionLimits, joint_path, linear_path
 from drivers.sim.world import pose_matrix, pose_vector
 from drivers.sim.world_model import TIMESTEP_S

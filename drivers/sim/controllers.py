@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from enum import Enum
 
-    from drivers.sim.modbus_controller import ControlledArm, ControllerTime
+    from drivers.sim.controlled_arm import ControlledArm, ControllerTime
 
 _HOST: Final = "127.0.0.1"
 

@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from drivers.sim.karel import ABORTED, PAUSED, RUNNING, KarelTask, Pose, shipped_sources
 from drivers.sim.karel_server import KarelWire, TcpCarrier
-from drivers.sim.modbus_controller import MotionRefusedError
 from drivers.sim.tp import TpAlarm, TpMachine, load
-from srvs_cell.geometry import Xyzwpr
+from drivers.sim.tp_arm import MODE_SIGNALS, TpArm
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from drivers.sim.controlled_arm import ControlledArm, ControllerTime
     from drivers.sim.karel import FileVariable
     from drivers.sim.karel_server import Carrier
-    from drivers.sim.modbus_controller import ControlledArm, ControllerTime
 
 _MOVER: Final = "SRVS_KMV"
 _AXES: Final = "XYZWPR"
@@ -36,9 +35,6 @@ _READ_ALL: Final = 200
 """How often the server may look for bytes until all are read."""
 
 _DI, _DO, _SI, _UO = 1, 2, 11, 21
-_MODE_SIGNALS: Final = {"AUTO": {8, 9}, "T1": {9}, "T2": set[int]()}
-"""SI[8] and SI[9] of the mode switch [?]."""
-
 _FACILITY: Final = {"MEMO": 7, "TPIF": 9, "SRVO": 11, "INTP": 12, "PRIO": 13, "MOTN": 15, "SYST": 24}
 _NAMED_ALARM: Final = re.compile(r"\b([A-Z]{4})-(\d{3})\b")
 _UNNAMED: Final = 24_999
@@ -55,12 +51,10 @@ class JointedArm(Protocol):
         ...
 
 
-class _Robot:
+class _Robot(TpArm):
     """The controller's devices and data, as both interpreters see them.
 
     Attributes:
-        motions_started: how many motions the arm was told to begin.
-        user_frame, user_tool: active frame numbers.
         program_frames: what the KAREL program has chosen for itself.
         port_settings: attributes of serial ports.
         screen: what was shown to the user.
@@ -71,8 +65,7 @@ class _Robot:
     """
 
     def __init__(self, arm: ControlledArm, tp_sources: Mapping[str, str], wire: KarelWire) -> None:
-        self.motions_started = 0
-        self.user_frame = self.user_tool = 1
+        super().__init__(arm)
         self.program_frames: dict[str, str] = {}
         self.port_settings: dict[tuple[int, int], int] = {}
         self.screen: list[str] = []
@@ -81,7 +74,7 @@ class _Robot:
         self.alarm_text: str | None = None
         self.machine = TpMachine(load(tp_sources), self)
         self._hosts: dict[str, int] = {}
-        self._arm, self._wire = arm, wire
+        self._wire = wire
 
     # -- what the TP program sees -------------------------------------------------------------------------------------
 
@@ -94,51 +87,6 @@ class _Robot:
         if kind != "DO":
             raise TpAlarm(f"PRIO-001 {kind}[{number}] is not assigned")
         self._arm.set_output(number, on)
-
-    def variable(self, name: str) -> int:
-        """Return a system variable; raises KeyError where there is none."""
-        return {
-            "$MNUFRAMENUM[1]": self.user_frame,
-            "$MNUTOOLNUM[1]": self.user_tool,
-            "$MCR.$GENOVERRIDE": self._arm.override_percent,
-        }[name]
-
-    def select_frame(self, name: str, number: int) -> None:
-        """Make a user frame or a tool the active one."""
-        if name == "UFRAME_NUM":
-            self.user_frame = number
-        else:
-            self.user_tool = number
-
-    @property
-    def moving(self) -> bool:
-        """Whether a motion is under way."""
-        return self._arm.moving
-
-    @property
-    def stopped_short(self) -> bool:
-        """Whether the last motion ended before its target."""
-        return self._arm.stopped_short
-
-    def position(self) -> tuple[float, ...]:
-        """Return the TCP's pose."""
-        return self._arm.pose.as_tuple()
-
-    def start(self, position: Sequence[float], speed: float, *, joint: bool) -> None:
-        """Begin a motion."""
-        target = Xyzwpr(*position)
-        try:
-            if joint:
-                self._arm.start_joint(target, speed)
-            else:
-                self._arm.start_linear(target, speed)
-        except MotionRefusedError as error:
-            raise TpAlarm(str(error)) from error
-        self.motions_started += 1
-
-    def stop(self) -> None:
-        """Cancel the motion under way."""
-        self._arm.stop()
 
     # -- what the KAREL program sees ----------------------------------------------------------------------------------
 
@@ -221,7 +169,7 @@ class _Robot:
         if kind == _DI:
             return int(self._arm.input(number))
         if kind == _SI:
-            return int(number in _MODE_SIGNALS.get(str(self._arm.mode), set()))
+            return int(number in MODE_SIGNALS.get(str(self._arm.mode), set()))
         return self._uop() >> (number - 1) & 1 if kind == _UO else None
 
     def set_port_value(self, kind: int, number: int, value: int) -> int:

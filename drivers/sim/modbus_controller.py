@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import re
 import threading
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
-from drivers.sim.modbus_server import HoldableTime, ModbusServer
+from drivers.sim.modbus_server import ModbusServer
 from drivers.sim.snpx import WordTable, split
-from drivers.sim.tp import TpAlarm, TpMachine, load, shipped_sources
-from srvs_cell.geometry import Xyzwpr
+from drivers.sim.tp import TpMachine, load, shipped_sources
+from drivers.sim.tp_arm import MODE_SIGNALS, TpArm
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
-    from srvs_cell.ports import RobotMode
+    from drivers.sim.controlled_arm import ControlledArm, ControllerTime
 
 _MAIN: Final = "SRVS"
 _HEARTBEAT: Final = "SRVS_HB"
@@ -36,106 +36,25 @@ _JOIN_S: Final = 2.0  # real seconds: simulated time may already stand still
 _MICRO: Final = 1000
 _UO_BITS: Final = 16
 
-_MODE_SIGNALS: Final = {"AUTO": {8, 9}, "T1": {9}, "T2": set[int]()}
-"""SI[8] and SI[9] of the mode switch [?]."""
-
 _FACILITY: Final = {"MEMO": 7, "TPIF": 9, "SRVO": 11, "INTP": 12, "PRIO": 13, "MOTN": 15, "SYST": 24}
 _NAMED_ALARM: Final = re.compile(r"\b([A-Z]{4})-(\d{3})\b")
 _UNNAMED: Final = (24, 999)
 
 
-class MotionRefusedError(Exception):
-    """The arm cannot begin a motion; the text says why."""
-
-
-class ControlledArm(Protocol):
-    """What the controller needs of the arm that it drives."""
-
-    mode: RobotMode
-    pendant_enabled: bool
-    servo_on: bool
-    override_percent: int
-
-    @property
-    def moving(self) -> bool:
-        """Whether a motion is under way."""
-        ...
-
-    @property
-    def stopped_short(self) -> bool:
-        """Whether the last motion ended before its target."""
-        ...
-
-    @property
-    def pose(self) -> Xyzwpr:
-        """The reported base_T_tcp."""
-        ...
-
-    @property
-    def fault(self) -> str | None:
-        """The controller's alarm, spelt as on the pendant ("SRVO-050 ..."), or None."""
-        ...
-
-    def start_linear(self, target: Xyzwpr, speed_mm_s: float) -> None:
-        """Begin a straight motion."""
-        ...
-
-    def start_joint(self, target: Xyzwpr, speed_percent: float) -> None:
-        """Begin a joint motion."""
-        ...
-
-    def stop(self) -> None:
-        """Decelerate to a stand."""
-        ...
-
-    def reset_fault(self) -> None:
-        """Clear the fault."""
-        ...
-
-    def set_output(self, n: int, on: bool) -> None:
-        """Switch DO[n]."""
-        ...
-
-    def output(self, n: int) -> bool:
-        """Read DO[n]."""
-        ...
-
-    def input(self, n: int) -> bool:
-        """Read DI[n]."""
-        ...
-
-
-class ControllerTime(HoldableTime, Protocol):
-    """Simulated time for threads."""
-
-    def now_s(self) -> float:
-        """Return simulated seconds."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Return after ``seconds`` of simulated time."""
-        ...
-
-
-class _Robot:
+class _Robot(TpArm):
     """The controller's devices and data, as its programs and its word table see them.
 
     Attributes:
-        motions_started: how many motions the arm was told to begin.
-        user_frame, user_tool: active frame numbers.
         outputs: DO that lead to no device of the arm.
         alarm: facility and number of the active alarm, zeros without.
         machine: runs the programs.
     """
 
     def __init__(self, arm: ControlledArm, sources: Mapping[str, str]) -> None:
-        self.motions_started = 0
-        self.user_frame = 1
-        self.user_tool = 1
+        super().__init__(arm)
         self.outputs = {_HOLD_DO: False, _RESET_DO: False}
         self.alarm = (0, 0)
         self.machine = TpMachine(load(sources), self)
-        self._arm = arm
         self._robot_outputs: dict[int, bool] = {}
         self._flags: dict[int, bool] = {}
 
@@ -148,7 +67,7 @@ class _Robot:
         if kind == "DI":
             return self._arm.input(number)
         if kind == "SI":
-            return number in _MODE_SIGNALS.get(str(self._arm.mode), set())
+            return number in MODE_SIGNALS.get(str(self._arm.mode), set())
         if kind == "UO":
             return bool(self._uop() >> (number - 1) & 1)
         return {"RO": self._robot_outputs, "F": self._flags}.get(kind, {}).get(number, False)
@@ -163,51 +82,6 @@ class _Robot:
             self.outputs[number] = on
         else:
             self._arm.set_output(number, on)
-
-    def variable(self, name: str) -> int:
-        """Return a system variable; raises KeyError where there is none."""
-        return {
-            "$MNUFRAMENUM[1]": self.user_frame,
-            "$MNUTOOLNUM[1]": self.user_tool,
-            "$MCR.$GENOVERRIDE": self._arm.override_percent,
-        }[name]
-
-    def select_frame(self, name: str, number: int) -> None:
-        """Make a user frame or a tool the active one."""
-        if name == "UFRAME_NUM":
-            self.user_frame = number
-        else:
-            self.user_tool = number
-
-    @property
-    def moving(self) -> bool:
-        """Whether a motion is under way."""
-        return self._arm.moving
-
-    @property
-    def stopped_short(self) -> bool:
-        """Whether the last motion ended before its target; an arm in fault has not arrived."""
-        return self._arm.stopped_short
-
-    def position(self) -> tuple[float, ...]:
-        """Return the TCP's pose."""
-        return self._arm.pose.as_tuple()
-
-    def start(self, position: Sequence[float], speed: float, *, joint: bool) -> None:
-        """Begin a motion."""
-        target = Xyzwpr(*position)
-        try:
-            if joint:
-                self._arm.start_joint(target, speed)
-            else:
-                self._arm.start_linear(target, speed)
-        except MotionRefusedError as error:
-            raise TpAlarm(str(error)) from error
-        self.motions_started += 1
-
-    def stop(self) -> None:
-        """Cancel the motion under way."""
-        self._arm.stop()
 
     # -- what the word table sees -------------------------------------------------------------------------------------
 

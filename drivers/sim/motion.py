@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from drivers.sim.controlled_arm import MotionRefusedError
 from drivers.sim.kinematics import JOINT_LIMITS_DEG, JOINT_SPEEDS_DEG_S
-from drivers.sim.modbus_controller import MotionRefusedError
 
 if TYPE_CHECKING:
     from drivers.sim.kinematics import Kinematics

@@ -12,12 +12,12 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeGuard
 
-from drivers.sim.modbus_controller import MotionRefusedError
+from drivers.sim.controlled_arm import MotionRefusedError
 from drivers.sim.rmi_server import RmiServer
 from srvs_cell.geometry import Xyzwpr
 
 if TYPE_CHECKING:
-    from drivers.sim.modbus_controller import ControlledArm, ControllerTime
+    from drivers.sim.controlled_arm import ControlledArm, ControllerTime
 
 _RMIT: Final = 2556928
 (_TOOL, _FRAME) = (_RMIT + n for n in (2, 3))

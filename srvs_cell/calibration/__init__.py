@@ -4,9 +4,10 @@ from srvs_cell.calibration.calibration import Calibration, CameraIntrinsics, Han
 from srvs_cell.calibration.check import CalibrationVerdict, Finding, Level, check_calibration, verdict
 from srvs_cell.calibration.error_budget import ErrorBudget
 from srvs_cell.calibration.lateral_path import BaselineReport, check_baseline, measure_baseline, plan_right_pose
-from srvs_cell.calibration.table_reference import TableReference
+from srvs_cell.calibration.table_reference import BASIS, TableReference
 
 __all__ = [
+    "BASIS",
     "BaselineReport",
     "Calibration",
     "CalibrationVerdict",

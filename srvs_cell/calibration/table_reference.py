@@ -162,14 +162,6 @@ class TableReference:
         jacobian = self._jacobian(point_mm)
         return -jacobian @ self.errors, jacobian @ self.covariance @ jacobian.T
 
-    def correction_mm(self, point_mm: ArrayLike) -> Array:
-        """Return what to add to a triangulated point, base frame, shape (3,)."""
-        return self.at(point_mm)[0]
-
-    def covariance_mm2(self, point_mm: ArrayLike) -> Array:
-        """Return the systematic part of a corrected point's covariance, base frame, 3x3."""
-        return self.at(point_mm)[1]
-
     def _jacobian(self, point_mm: ArrayLike) -> Array:
         """Return how a triangulated point moves with each error, shape (3, 18), base frame."""
         by_cause = self.budget.jacobian(point_mm)

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from srvs_cell.calibration import TableReference
+from srvs_cell.calibration import BASIS, TableReference
 from srvs_cell.scene import TableCheck
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ _NOISE_FACTOR = 1.6
 _TEXTURED_PX = 0.1
 """A block whose displacement is known better than this has texture."""
 _MOST = 0.5
-_COEFFICIENTS = 10
 _SLACK_PX = (0.5, 0.3, 0.2, 0.15, 0.15)
 """Displacement that a block may show and its residual may stem from, iteration by iteration."""
 _LOOSE_SIGMA = 3.0
@@ -106,7 +105,7 @@ def align_table(
     refusal = ""
     if used.sum() < parameters.min_blocks and rejected > _MOST:
         # the table deviates by more than the search reaches: at least that is the doubt
-        surprise = _COEFFICIENTS * (_SLACK_PX[0] / _Shown.of(prior, pair).sigma_px) ** 2
+        surprise = BASIS * (_SLACK_PX[0] / _Shown.of(prior, pair).sigma_px) ** 2
         refusal = f"the table contradicts the calibration: {100.0 * rejected:.0f} % of its picture is not as predicted"
     elif used.sum() < parameters.min_blocks:
         refusal = f"{used.sum()} blocks of table in view, {parameters.min_blocks} needed"
@@ -138,7 +137,7 @@ class _Shown:
         disparity = a * x + b * y + c
         u, v = (part[0] for part in reference.basis(x, y, disparity))
         covariance = reference.response @ reference.covariance @ reference.response.T
-        correction = reference.correction_mm(rig.points_mm(x, y, disparity)[0])
+        correction = reference.at(rig.points_mm(x, y, disparity)[0])[0]
         field = reference.expected_field
         return cls(
             float(u @ field),

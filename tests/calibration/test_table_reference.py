@@ -202,7 +202,7 @@ def test_correction_brings_a_triangulated_point_back(cause: int, place: tuple[fl
     between = believed.right.translation_mm - believed.left.translation_mm
     along, _ = np.linalg.lstsq(np.column_stack([left, -right]), between, rcond=None)[0]
     triangulated = believed.left.translation_mm + along * left
-    corrected = triangulated + reference_of(believed.rig(Uncertainty()), errors).correction_mm(triangulated)
+    corrected = triangulated + reference_of(believed.rig(Uncertainty()), errors).at(triangulated)[0]
     moved_mm = float(np.linalg.norm(triangulated - point))
     assert moved_mm > 1e-6
     assert np.linalg.norm(corrected - point) < 0.05 * moved_mm + 2e-5
@@ -212,15 +212,15 @@ def test_nothing_measured_corrects_nothing_and_keeps_the_doubt_of_the_calibratio
     rig = Cell.true().rig(Uncertainty())
     reference = reference_of(rig)
     point = LEFT.apply(np.array([20.0, -30.0, 400.0]))
-    assert np.array_equal(reference.correction_mm(point), np.zeros(3))
+    assert np.array_equal(reference.at(point)[0], np.zeros(3))
     assert np.array_equal(reference.expected_field, np.zeros(COEFFICIENTS))
     assert reference.surprise() == 0.0
     systematic = rig.error_budget.systematic_mm2(point)
     # the lens has a doubt of its own that the error budget does not know
-    lens = reference.covariance_mm2(point) - systematic
+    lens = reference.at(point)[1] - systematic
     assert np.linalg.eigvalsh(lens).min() > -1e-12
     blind = replace(rig, uncertainty=Uncertainty(distortion_k1=0.0, distortion_k2=0.0))
-    assert reference_of(blind).covariance_mm2(point) == pytest.approx(systematic)
+    assert reference_of(blind).at(point)[1] == pytest.approx(systematic)
 
 
 def informed(field: Array, sigma_px: float, uncertainty: Uncertainty | None = None) -> TableReference:
@@ -239,9 +239,9 @@ def test_a_measurement_never_adds_doubt_and_takes_some_of_it() -> None:
     after = informed(before.response @ (SMALL * 5.0), 0.1)
     assert np.linalg.eigvalsh(before.covariance - after.covariance).min() > -1e-12
     point = LEFT.apply(np.array([20.0, -30.0, 400.0]))
-    gained = before.covariance_mm2(point) - after.covariance_mm2(point)
+    gained = before.at(point)[1] - after.at(point)[1]
     assert np.linalg.eigvalsh(gained).min() > -1e-9
-    assert after.covariance_mm2(point)[2, 2] < 0.5 * before.covariance_mm2(point)[2, 2]
+    assert after.at(point)[1][2, 2] < 0.5 * before.at(point)[1][2, 2]
 
 
 def test_a_sideways_hand_eye_error_keeps_its_doubt() -> None:
@@ -262,7 +262,7 @@ def test_errors_beyond_their_noise_are_found_again_in_their_field() -> None:
     point = LEFT.apply(np.array([20.0, -30.0, 400.0]))
     wrong_mm = float(before.budget.jacobian(point)[2, 3 + 12 :] @ errors[POSE_TURN])
     # the table cannot tell a wrong pose from all other errors, but its height stays the table's
-    assert float(after.correction_mm(point)[2]) == pytest.approx(-wrong_mm, rel=0.2)
+    assert float(after.at(point)[0][2]) == pytest.approx(-wrong_mm, rel=0.2)
 
 
 def test_a_field_of_zero_leaves_the_errors_at_zero() -> None:

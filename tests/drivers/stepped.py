@@ -14,7 +14,7 @@ import math
 import threading
 from typing import TYPE_CHECKING
 
-from drivers.sim.modbus_controller import MotionRefusedError
+from drivers.sim.controlled_arm import MotionRefusedError
 from srvs_cell.geometry import Xyzwpr
 from srvs_cell.ports import RobotMode
 

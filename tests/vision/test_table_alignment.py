@@ -73,7 +73,7 @@ def test_the_correction_brings_the_table_back_to_its_height() -> None:
     for x, y in ((cameras.cx_px, cameras.cy_px), (150.0, 120.0), (520.0, 380.0)):
         seen = cameras.points_mm(np.array([x]), np.array([y]), np.array([a * x + b * y + c + u_px]))[0]
         assert abs(seen[2] - TABLE_Z_MM) > 1.0
-        corrected = seen + reference.correction_mm(seen)
+        corrected = seen + reference.at(seen)[0]
         assert corrected[2] == pytest.approx(TABLE_Z_MM, abs=0.8)
     assert abs(check.correction_mm[2]) > 1.0
 
@@ -113,10 +113,10 @@ def test_a_refused_calibration_is_doubted_as_much_as_the_table_contradicts_it() 
     assert "too little" in check.refusal
     shifted, check = align_table(table_pair(0.9, 0.6), TABLE_Z_MM, TableParameters())
     assert "contradicts the calibration" in check.refusal
-    assert np.trace(shifted.covariance_mm2(point)) > 9.0 * np.trace(calm.covariance_mm2(point))
+    assert np.trace(shifted.at(point)[1]) > 9.0 * np.trace(calm.at(point)[1])
     bare, check = align_table(table_pair(0.9, 0.6, contrast=0.0), TABLE_Z_MM, TableParameters())
     assert "contradicts" not in check.refusal
-    assert np.trace(bare.covariance_mm2(point)) == pytest.approx(np.trace(calm.covariance_mm2(point)), rel=0.5)
+    assert np.trace(bare.at(point)[1]) == pytest.approx(np.trace(calm.at(point)[1]), rel=0.5)
 
 
 def test_a_box_on_the_table_does_not_disturb_the_measurement() -> None:

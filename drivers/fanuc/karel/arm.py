@@ -16,7 +16,7 @@ from drivers.fanuc.karel.diagnosis import diagnose_karel, peek_inputs_karel
 from drivers.fanuc.karel.link import make_link
 from drivers.fanuc.karel.messages import State
 from drivers.fanuc.karel.session import LineSession, NoAnswerError
-from drivers.fanuc.outcome import still
+from drivers.fanuc.standstill import standstill
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
     CommandRejectedError,
@@ -294,19 +294,11 @@ class FanucKarelArm:
 
     async def _standing(self) -> Xyzwpr:
         """Return the pose of the arm as soon as two readings agree."""
-        deadline_s = self._clock.now_s() + self._config.stop_timeout_s
-        last = (await self._read()).pose
-        while True:
-            await self._clock.sleep(self._config.poll_s)
-            pose = (await self._read()).pose
-            if still(last, pose):
-                return pose
-            if self._clock.now_s() > deadline_s:
-                raise OutcomeUnknownError(
-                    Alarm.MOTION_OUTCOME_UNKNOWN,
-                    f"the arm still moves {self._config.stop_timeout_s} s after its move has ended, at {pose}.",
-                )
-            last = pose
+
+        async def pose() -> Xyzwpr:
+            return (await self._read()).pose
+
+        return await standstill(pose, self._clock, self._config, "its move has ended")
 
     async def _beat(self) -> None:
         """Let the robot hear this PC, and hear the robot, for as long as the wire holds."""

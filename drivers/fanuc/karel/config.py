@@ -6,6 +6,8 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from drivers.fanuc.settings import MotionSettings
+
 
 class TcpConfig(BaseModel):
     """The line protocol over Ethernet (srvstcp.kl)."""
@@ -25,19 +27,14 @@ class SerialConfig(BaseModel):
     baud: Literal[9600, 19200] = Field(default=9600, description="bits per second, as in srvsser.kl")
 
 
-class FanucKarelConfig(BaseModel):
+class FanucKarelConfig(MotionSettings):
     """The robot's part of the cell's YAML, for the driver ``fanuc_karel``; exactly one wire is named."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     tcp: TcpConfig | None = Field(default=None, description="over Ethernet")
     serial: SerialConfig | None = Field(default=None, description="over RS-232")
     timeout_s: float = Field(default=1.0, gt=0.0, le=10.0, description="real seconds for a connection, or for a reply")
     read_tries: int = Field(
         default=3, ge=1, le=10, description="how often a reading, a greeting or a stop is sent until it is answered"
-    )
-    poll_s: float = Field(
-        default=0.05, ge=0.01, le=1.0, description="clock seconds between two readings while a move is under way"
     )
     heartbeat_s: float = Field(
         default=0.5,
@@ -48,24 +45,6 @@ class FanucKarelConfig(BaseModel):
     reset_timeout_s: float = Field(default=10.0, gt=0.0, le=120.0, description="seconds that a reset may take")
     stop_timeout_s: float = Field(
         default=3.0, ge=0.2, le=30.0, description="clock seconds at 100 % override that a stop may take to be confirmed"
-    )
-    joint_speed_mm_s: float = Field(
-        default=300.0,
-        ge=1.0,
-        le=5000.0,
-        description="what the TCP covers at 100 % of a joint move at the least, for the time a move may take",
-    )
-    turn_speed_deg_s: float = Field(
-        default=45.0, ge=1.0, le=720.0, description="what the wrist turns at the least, likewise"
-    )
-    move_grace_s: float = Field(
-        default=3.0, ge=0.2, le=60.0, description="clock seconds added to the time a move may take"
-    )
-    arrival_tolerance_mm: float = Field(
-        default=0.5, gt=0.0, le=10.0, description="how far a finished move may end from its target"
-    )
-    arrival_tolerance_deg: float = Field(
-        default=0.2, gt=0.0, le=5.0, description="how far a finished move may end from its target"
     )
 
     @model_validator(mode="after")

@@ -11,12 +11,12 @@ import contextlib
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from drivers.fanuc.judgement import MotionBudget, arrival_error
-from drivers.fanuc.outcome import still
 from drivers.fanuc.rmi import judgement, messages
 from drivers.fanuc.rmi.diagnosis import diagnose_rmi, peek_inputs_rmi
 from drivers.fanuc.rmi.errors import NOT_RUNNING, NOTHING_RUNNING, UNKNOWN_COMMAND
 from drivers.fanuc.rmi.messages import Path
 from drivers.fanuc.rmi.session import RefusedError, RmiSession
+from drivers.fanuc.standstill import standstill
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
     CommandRejectedError,
@@ -358,19 +358,11 @@ class FanucRmiArm:
 
     async def _standing(self) -> Xyzwpr:
         """Return the pose of the arm as soon as two readings agree."""
-        deadline_s = self._clock.now_s() + self._config.stop_timeout_s
-        last = (await self._read_place()).pose
-        while True:
-            await self._clock.sleep(self._config.poll_s)
-            pose = (await self._read_place()).pose
-            if still(last, pose):
-                return pose
-            if self._clock.now_s() > deadline_s:
-                raise OutcomeUnknownError(
-                    Alarm.MOTION_OUTCOME_UNKNOWN,
-                    f"the arm still moves {self._config.stop_timeout_s} s after the abort, at {pose}.",
-                )
-            last = pose
+
+        async def pose() -> Xyzwpr:
+            return (await self._read_place()).pose
+
+        return await standstill(pose, self._clock, self._config, "the abort")
 
     async def _start(self) -> None:
         """Let the controller run RMI_MOVE, which takes instructions; raises where it may not. Moves nothing."""

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from drivers.fanuc.settings import MotionSettings
 
 
-class FanucRmiConfig(BaseModel):
+class FanucRmiConfig(MotionSettings):
     """The robot's part of the cell's YAML, for the driver ``fanuc_rmi``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     host: str = Field(default="127.0.0.1", min_length=1, description="the controller's address or name")
     port: int = Field(default=16001, ge=1, le=65535, description="where the controller waits for FRC_Connect")
     timeout_s: float = Field(
         default=2.0, gt=0.0, le=10.0, description="real seconds for a connection, and for a reply to a command"
-    )
-    poll_s: float = Field(
-        default=0.05, ge=0.01, le=1.0, description="clock seconds between two readings while a move is under way"
     )
     user_frame: int = Field(default=1, ge=0, le=9, description="user frame that poses are given in; 0 is the world")
     user_tool: int = Field(default=1, ge=1, le=10, description="tool frame whose TCP is moved")
@@ -35,24 +32,6 @@ class FanucRmiConfig(BaseModel):
     reset_timeout_s: float = Field(default=15.0, gt=0.0, le=120.0, description="clock seconds that a reset may take")
     stop_timeout_s: float = Field(
         default=3.0, ge=0.2, le=30.0, description="clock seconds after an abort within which the arm must stand still"
-    )
-    joint_speed_mm_s: float = Field(
-        default=300.0,
-        ge=1.0,
-        le=5000.0,
-        description="what the TCP covers at 100 % of a joint move at the least, for the time a move may take",
-    )
-    turn_speed_deg_s: float = Field(
-        default=45.0, ge=1.0, le=720.0, description="what the wrist turns at the least, likewise"
-    )
-    move_grace_s: float = Field(
-        default=3.0, ge=0.2, le=60.0, description="clock seconds added to the time a move may take"
-    )
-    arrival_tolerance_mm: float = Field(
-        default=0.5, gt=0.0, le=10.0, description="how far a finished move may end from its target"
-    )
-    arrival_tolerance_deg: float = Field(
-        default=0.2, gt=0.0, le=5.0, description="how far a finished move may end from its target"
     )
 
     @property

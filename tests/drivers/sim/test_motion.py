@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.sim.controlled_arm import MotionRefusedError
 from drivers.sim.kinematics import JOINT_LIMITS_DEG, JOINT_SPEEDS_DEG_S, Kinematics
-from drivers.sim.modbus_controller import MotionRefusedError
 from drivers.sim.motion import Motion, MotionLimits, Path, joint_path, linear_path
 from srvs_cell.geometry import Array, Transform, Xyzwpr
 

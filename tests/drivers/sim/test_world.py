@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from drivers.sim.controlled_arm import MotionRefusedError
 from drivers.sim.gripper_geometry import GripperGeometry
-from drivers.sim.modbus_controller import MotionRefusedError
 from drivers.sim.parts import CUBOID, Part
 from drivers.sim.truth import truth
 from drivers.sim.world import World
