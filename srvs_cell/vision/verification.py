@@ -33,7 +33,7 @@ _TRUSTED_RMS_PX = 0.5
 """A figure that fits worse does not explain what rises at its place."""
 _SEAM_PX = 1.5
 """Where a face stands over the table, its outline leaves at least a seam of this width in the relief."""
-_UNSEEN_PX = 500
+_UNSEEN_PX = 200
 """So many pixels of relief that no face explains are a part that was not recognised."""
 _ROUNDS = 2
 
