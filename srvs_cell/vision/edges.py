@@ -110,15 +110,22 @@ def supported(
         width: of the image.
         parameters: support and length limits.
     """
-    regions = [_Regions.of(strong, _partition(direction_deg, turn_deg), width) for turn_deg in _TURNS_DEG]
+    regions = support_regions(strong, direction_deg, width)
     first, second = (each.length_px[each.of_pixel] for each in regions)
     kept = np.zeros(strong.size, dtype=np.bool_)
     for each, votes in zip(regions, (first >= second, first < second), strict=True):
-        pixels = np.bincount(each.of_pixel)
-        support = (np.bincount(each.of_pixel, weights=votes) + _CHANCE_PX) / pixels
-        evidence = each.length_px * np.bincount(each.of_pixel, weights=strength) / pixels
+        support = (np.bincount(each.of_pixel, weights=votes) + _CHANCE_PX) / each.pixels
+        evidence = each.length_px * np.bincount(each.of_pixel, weights=strength) / each.pixels
         kept |= ((support >= parameters.min_support) & (evidence >= parameters.min_length_px))[each.of_pixel]
     return kept
+
+
+def support_regions(
+    strong: NDArray[np.intp], direction_deg: NDArray[np.float32], width: int
+) -> tuple[SupportRegions, SupportRegions]:
+    """Return the line-support regions of both partitions; arguments as of `supported`."""
+    first, second = (SupportRegions.of(strong, _partition(direction_deg, turn_deg), width) for turn_deg in _TURNS_DEG)
+    return first, second
 
 
 def _partition(direction_deg: NDArray[np.float32], turn_deg: float) -> NDArray[np.int8]:
@@ -128,19 +135,21 @@ def _partition(direction_deg: NDArray[np.float32], turn_deg: float) -> NDArray[n
 
 
 @dataclass(frozen=True, eq=False)
-class _Regions:
+class SupportRegions:
     """Connected strong pixels of one label.
 
     Attributes:
         of_pixel: the region of each strong pixel, shape (N,).
+        pixels: number of each region's pixels.
         length_px: diagonal of each region's bounding box.
     """
 
     of_pixel: NDArray[np.intp]
+    pixels: NDArray[np.intp]
     length_px: NDArray[np.float64]
 
     @classmethod
-    def of(cls, strong: NDArray[np.intp], label: NDArray[np.int8], width: int) -> _Regions:
+    def of(cls, strong: NDArray[np.intp], label: NDArray[np.int8], width: int) -> SupportRegions:
         """Connect 8-neighbours of one label.
 
         Args:
@@ -163,4 +172,5 @@ class _Regions:
             np.minimum.at(low, of_run, start)
             np.maximum.at(high, of_run, end)
             extents.append(high - low + 1.0)
-        return cls(np.repeat(of_run, last - first + 1), np.hypot(extents[0], extents[1]))
+        of_pixel = np.repeat(of_run, last - first + 1)
+        return cls(of_pixel, np.bincount(of_pixel), np.hypot(extents[0], extents[1]))

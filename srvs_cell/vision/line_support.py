@@ -19,20 +19,14 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from srvs_cell.vision.edges import smooth
+from srvs_cell.vision.edges import smooth, support_regions
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
 
-_PARTITION_DEG = 45.0
-_PARTITIONS = 8
-_TURNS_DEG = (0.0, _PARTITION_DEG / 2.0)
-_FORWARD_NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
 _CENTRE_OFFSET_PX = 0.5
 """A 2x2 mask measures between the pixels."""
 _FLAT = 1e-6
@@ -101,8 +95,9 @@ def extract_lines(
     a, b = image[rows, columns], image[rows, columns + 1]
     c, d = image[rows + 1, columns], image[rows + 1, columns + 1]
     gradient_x, gradient_y = (b + d - a - c) * _CENTRE_OFFSET_PX, (c + d - a - b) * _CENTRE_OFFSET_PX
-    direction_deg = np.rad2deg(np.arctan2(gradient_y, gradient_x)) % 360.0
-    region = support_regions(rows, columns, direction_deg, edges.shape, parameters.min_support)
+    direction_deg = np.rad2deg(np.arctan2(gradient_y, gradient_x))
+    width = edges.shape[1]
+    region = voted_regions(rows * width + columns, direction_deg, width, parameters.min_support)
     kept = np.flatnonzero(region >= 0)
     kept = kept[np.argsort(region[kept], kind="stable")]
     _, first, pixels = np.unique(region[kept], return_index=True, return_counts=True)
@@ -121,68 +116,30 @@ def extract_lines(
     )
 
 
-def support_regions(
-    rows: NDArray[np.intp],
-    columns: NDArray[np.intp],
-    direction_deg: NDArray[np.float32],
-    shape: tuple[int, ...],
-    min_support: float,
-) -> NDArray[np.int32]:
+def voted_regions(
+    strong: NDArray[np.intp], direction_deg: NDArray[np.float32], width: int, min_support: float
+) -> NDArray[np.intp]:
     """Return the number of the line-support region that each edge pixel votes for; -1 where that has no support.
 
+    Of two regions of one length a pixel votes for the larger. Along a line whose direction falls on the border of one
+    partition its regions there lie side by side, each as long as the whole, and would take half of the votes.
+
     Args:
-        rows: of the edge pixels, shape (N,).
-        columns: of the edge pixels, shape (N,).
-        direction_deg: gradient direction of each, 0 to 360.
-        shape: of the image.
+        strong: numbers of the edge pixels in the flat image, ascending, none in its last column, shape (N,).
+        direction_deg: gradient direction of each.
+        width: of the image.
         min_support: least share of a region's pixels that vote for it.
     """
-    if rows.size == 0:
-        return np.zeros(0, dtype=np.int32)
-    first, second = _neighbour_pairs(rows, columns, shape)
-    labels, lengths = [], []
-    for turn_deg in _TURNS_DEG:
-        partition = ((direction_deg + turn_deg) // _PARTITION_DEG).astype(np.int32) % _PARTITIONS
-        same = partition[first] == partition[second]
-        links = (np.ones(int(same.sum()), dtype=np.int8), (first[same], second[same]))
-        graph = coo_array(links, shape=(rows.size, rows.size)).tocsr()
-        label = np.asarray(connected_components(graph, directed=False)[1], dtype=np.int32)
-        labels.append(label)
-        lengths.append(_diagonals(label, rows, columns)[label])
-    votes_first = lengths[0] >= lengths[1]
-    labels[1] = labels[1] + labels[0].max() + 1
-    region = np.where(votes_first, labels[0], labels[1])
-    votes = np.bincount(region, minlength=int(labels[1].max()) + 1)
-    pixels = np.bincount(labels[0], minlength=votes.size) + np.bincount(labels[1], minlength=votes.size)
-    return np.where((votes >= min_support * pixels)[region], region, -1).astype(np.int32)
-
-
-def _neighbour_pairs(
-    rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return the numbers of edge pixels that are 8-neighbours of each other."""
-    # a frame of one pixel makes every neighbour's index valid
-    index = np.full((shape[0] + 2, shape[1] + 2), -1, dtype=np.int32)
-    index[rows + 1, columns + 1] = np.arange(rows.size, dtype=np.int32)
-    first, second = [], []
-    for d_row, d_column in _FORWARD_NEIGHBOURS:
-        neighbour = index[rows + 1 + d_row, columns + 1 + d_column]
-        present = np.flatnonzero(neighbour >= 0)
-        first.append(present.astype(np.int32))
-        second.append(neighbour[present])
-    return np.concatenate(first), np.concatenate(second)
-
-
-def _diagonals(label: NDArray[np.int32], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
-    """Return the diagonal of each region's bounding box, pixels."""
-    count = int(label.max()) + 1
-    extents = []
-    for position in (rows, columns):
-        low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
-        np.minimum.at(low, label, position)
-        np.maximum.at(high, label, position)
-        extents.append(high - low + 1.0)
-    return np.asarray(np.hypot(extents[0], extents[1]), dtype=np.float64)
+    if strong.size == 0:
+        return np.zeros(0, dtype=np.intp)
+    first, second = support_regions(strong, direction_deg, width)
+    one, other = first.of_pixel, second.of_pixel
+    longer = first.length_px[one] - second.length_px[other]
+    votes_first = (longer > 0.0) | ((longer == 0.0) & (first.pixels[one] >= second.pixels[other]))
+    region = np.where(votes_first, one, other + first.pixels.size)
+    pixels = np.concatenate([first.pixels, second.pixels])
+    votes = np.bincount(region, minlength=pixels.size)
+    return np.where((votes >= min_support * pixels)[region], region, -1)
 
 
 def _measure(

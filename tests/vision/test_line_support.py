@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray  # noqa: TC002 - read by people and mypy
 
 from srvs_cell.vision.edges import extract_edges
-from srvs_cell.vision.line_support import LineImage, LineParameters, extract_lines, support_regions
+from srvs_cell.vision.line_support import LineImage, LineParameters, extract_lines, voted_regions
 from srvs_cell.vision.parameters import EdgeParameters
 from tests.vision.pictures import render, square
 
@@ -35,6 +35,7 @@ def difference_deg(first: float, second: float) -> float:
 
 @settings(max_examples=40, deadline=None)
 @given(angle_deg=st.floats(0.0, 359.9), offset_px=st.floats(-3.0, 3.0))
+@example(angle_deg=179.984375, offset_px=0.0)
 def test_a_straight_edge_is_one_line_at_its_place(angle_deg: float, offset_px: float) -> None:
     lines = lines_of(step_image(angle_deg, offset_px))
     longest = int(lines.length_px.argmax())
@@ -102,7 +103,7 @@ def test_a_region_needs_support() -> None:
     columns = np.arange(20)
     rows = np.full(20, 5)
     direction = np.where(columns < 10, 44.0, 46.0).astype(np.float32)
-    region = support_regions(rows, columns, direction, (12, 24), 0.5)
+    region = voted_regions(rows * 24 + columns, direction, 24, 0.5)
     assert (region == region[0]).all()
     assert region[0] >= 0
 
