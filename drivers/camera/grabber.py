@@ -54,6 +54,7 @@ class CameraCounters:
     Attributes:
         frames: buffers that the device has handed out.
         too_old: of these, frames that somebody could not use because they were exposed before he asked.
+        misdated: buffers that were dropped because their time stamp is impossible.
         failed_grabs: waits that ended without a buffer.
         invalid: pictures that could not be decoded or had the wrong size.
         timeouts: requests that got no frame in time, for whatever reason.
@@ -62,6 +63,7 @@ class CameraCounters:
 
     frames: int = 0
     too_old: int = 0
+    misdated: int = 0
     failed_grabs: int = 0
     invalid: int = 0
     timeouts: int = 0
@@ -72,7 +74,11 @@ class Capture(Protocol):
     """An open stream, used by one thread at a time. Any call may raise `PortError`."""
 
     def grab(self) -> FrameStamp | None:
-        """Wait, for some seconds at most, for the next frame; None where none came."""
+        """Wait, for some seconds at most, for the next frame; None where none came.
+
+        Raises:
+            FrameError: the frame's time stamp is impossible; the next one may be right.
+        """
         ...
 
     def retrieve(self) -> NDArray[np.uint8]:
@@ -283,24 +289,32 @@ class GrabbingCamera:
         failed = 0
         while not self._stopping.is_set():
             try:
-                stamp = capture.grab()
-                if stamp is not None:
-                    self._offer(capture, stamp)
+                failure = self._take(capture)
             except PortError as error:
                 self._lose(error)
                 return
-            if stamp is None:
-                self._counters.failed_grabs += 1
-            failed = 0 if stamp is not None else failed + 1
-            if failed == _FAILED_GRABS:
-                self._lose(
-                    NotConnectedError(
-                        Alarm.CAMERA_UNAVAILABLE, f"{self._name}: the stream has ended, {failed} reads in a row failed."
-                    )
-                )
+            failed = 0 if failure is None else failed + 1
+            if failure is not None and failed == _FAILED_GRABS:
+                self._lose(failure)
                 return
             if failed:
                 self._stopping.wait(_RETRY_S)
+
+    def _take(self, capture: Capture) -> PortError | None:
+        """Take one frame; return what the stream has ended with, should this failure go on."""
+        try:
+            stamp = capture.grab()
+        except FrameError as error:
+            self._counters.misdated += 1
+            return error
+        if stamp is None:
+            self._counters.failed_grabs += 1
+            return NotConnectedError(
+                Alarm.CAMERA_UNAVAILABLE,
+                f"{self._name}: the stream has ended, {_FAILED_GRABS} reads in a row failed.",
+            )
+        self._offer(capture, stamp)
+        return None
 
     def _offer(self, capture: Capture, stamp: FrameStamp) -> None:
         """Give the frame to those who wait for one as new as this; the picture is fetched only for them."""

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from srvs_cell.ports import Clock, Finding
 
 _MANUAL_EXPOSURE: Final = 1.0  # V4L2_EXPOSURE_MANUAL
-_OLDEST_S: Final = 60.0
 _FUTURE_S: Final = 0.05
 _RELATIVE_TOLERANCE: Final = 0.05
 _ABSOLUTE_TOLERANCE: Final = 0.5
@@ -189,18 +188,18 @@ class V4l2Capture:
         """Take the next buffer; None where the device gave none (unplugged: at once; frozen: after its time-out).
 
         Raises:
-            PortError: PROTOCOL_ERROR where the buffer's stamp is not of CLOCK_MONOTONIC.
+            FrameError: PROTOCOL_ERROR where the buffer's stamp lies in the future: it is not of CLOCK_MONOTONIC.
         """
         if not self._capture.grab():
             return None
         self._sequence += 1
         stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
         age_s = self._monotonic() - stamp_s
-        if not -_FUTURE_S <= age_s <= _OLDEST_S:
-            raise PortError(
+        if age_s < -_FUTURE_S:
+            raise FrameError(
                 Alarm.PROTOCOL_ERROR,
-                f"{self._config.device}: time stamp {stamp_s:.3f} s is {age_s:.3f} s old by CLOCK_MONOTONIC; "
-                "without a monotonic stamp a stale frame cannot be told.",
+                f"{self._config.device}: time stamp {stamp_s:.3f} s lies {-age_s:.3f} s in the future of "
+                "CLOCK_MONOTONIC; without a monotonic stamp a stale frame cannot be told.",
             )
         return FrameStamp(self._clock.now_s() - age_s - self._config.exposure_before_stamp_s, self._sequence)
 

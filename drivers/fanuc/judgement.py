@@ -28,7 +28,7 @@ _FAULT_TEXTS: Final = {
     FaultCode.POSITION_RANGE: "position out of the program's range",
     FaultCode.SPEED_RANGE: "speed out of the program's range",
     FaultCode.FRAME: "user frame or tool is not the program's",
-    FaultCode.PC_HEARTBEAT: "the PC's heartbeat is not seen",
+    FaultCode.PC_HEARTBEAT: "SRVS_HB does not run, or does not see this PC's heartbeat",
     FaultCode.HOLD_ACTIVE: "the hold output is on",
     FaultCode.STOPPED: "stopped by the hold output",
     FaultCode.STOPPED_BY_WATCHDOG: "stopped because the PC's heartbeat froze",
@@ -176,7 +176,8 @@ def _program_fault(snapshot: Snapshot) -> PortError:
     if code == FaultCode.STOPPED_BY_WATCHDOG:
         return MotionStoppedError(Alarm.HEARTBEAT_LOST, f"{text} at {snapshot.pose}.")
     if known and FaultCode.NONE < code < FIRST_FAULT_IN_MOTION:
-        return CommandRejectedError(Alarm.TARGET_REJECTED, f"{text}.")
+        alarm = Alarm.HEARTBEAT_LOST if code == FaultCode.PC_HEARTBEAT else Alarm.TARGET_REJECTED
+        return CommandRejectedError(alarm, f"{text}.")
     return DeviceFaultError(Alarm.ROBOT_FAULT, f"{text} at {snapshot.pose}.")
 
 

@@ -174,4 +174,4 @@ class Operator(RuleBasedStateMachine):
 
 
 TestOperator = Operator.TestCase
-TestOperator.settings = settings(max_examples=30, stateful_step_count=40, deadline=None)
+TestOperator.settings = settings(max_examples=30, stateful_step_count=40)

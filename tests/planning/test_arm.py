@@ -34,7 +34,7 @@ def _matrix(pose: Xyzwpr) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     return Transform.from_xyzwpr("base", "tcp", pose).matrix[None]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=integers(0, 10_000), b=floats(-60.0, 60.0))
 def test_one_of_the_eight_solutions_is_the_one_that_led_there(seed: int, b: float) -> None:
     geometry = OpwGeometry(150.0, -200.0, b, 450.0, 600.0, 640.0, 100.0)
@@ -56,7 +56,7 @@ def test_the_simulated_arm_stands_as_the_planner_thinks() -> None:
     assert list(map(tuple, JOINT_LIMITS_DEG)) == list(_arm().joint_limits_deg)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(x=floats(500.0, 1000.0), y=floats(-300.0, 300.0), z=floats(-50.0, 400.0), r=floats(-100.0, 100.0))
 def test_the_simulated_arm_goes_straight_as_the_planner_thinks(x: float, y: float, z: float, r: float) -> None:
     start = SIMULATED.inverse(_matrix(OBSERVE_POSE)[0], np.zeros(6))

@@ -52,7 +52,7 @@ def least_travel_by_trying_all(problem: Problem, moves: int) -> float:
 
 
 @given(heights, st.sampled_from([0.0, 1.0, 2.0]), st.integers(0, 2))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_fewest_moves_are_found(heights_mm: list[float], tolerance_mm: float, buffers: int) -> None:
     problem = line_problem(heights_mm, tolerance_mm=tolerance_mm, buffers=buffers)
     answer = plan(problem)
@@ -63,7 +63,7 @@ def test_the_fewest_moves_are_found(heights_mm: list[float], tolerance_mm: float
 
 
 @given(heights, st.integers(1, 2))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_closed_form_is_exact_where_nothing_is_in_the_way(heights_mm: list[float], buffers: int) -> None:
     # Different heights, or equal ones: no chain of ties, so the closed form is the answer and not just a bound.
     problem = line_problem(heights_mm, buffers=buffers)
@@ -72,7 +72,7 @@ def test_the_closed_form_is_exact_where_nothing_is_in_the_way(heights_mm: list[f
 
 
 @given(heights, st.sampled_from([0.0, 1.0, 2.0]), st.sampled_from([15.0, 22.0, 100.0]))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_the_lower_bound_never_drops_by_more_than_a_move(
     heights_mm: list[float], tolerance_mm: float, spacing_mm: float
 ) -> None:

@@ -82,7 +82,7 @@ def test_an_object_without_a_rank_is_not_at_its_goal() -> None:
 
 
 @given(st.permutations([10.0, 20.0, 30.0, 40.0]), st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_plan_with_one_move_missing_or_bent_is_refused(heights_mm: list[float], data: st.DataObject) -> None:
     problem = line_problem(heights_mm)
     moves = list(plan(problem).moves)

@@ -55,7 +55,7 @@ def test_planes_are_chosen_by_what_the_others_leave_unexplained() -> None:
     assert choose_planes(np.full((2, 10), 0.5, dtype=np.float32), 0.05) == []
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), size=st.integers(2, 9))
 def test_labels_of_a_chain_have_almost_the_least_energy_and_never_more_than_each_for_itself(
     seed: int, size: int

@@ -39,7 +39,7 @@ def test_an_end_at_the_border_of_the_image_counts_nothing() -> None:
     assert (ends.last_weight[1] > 0.5).all()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(a=st.floats(-0.15, 0.15), b=st.floats(-0.15, 0.15), c=st.floats(0.0, 80.0), seed=st.integers(0, 1000))
 def test_the_plane_comes_through_a_fifth_of_outliers(a: float, b: float, c: float, seed: int) -> None:
     generator = np.random.default_rng(seed)

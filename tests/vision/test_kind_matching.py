@@ -121,7 +121,7 @@ KINDS = [kind("flat", height_mm=(0.0, 30.0)), kind("long", length_mm=(50.0, 100.
 
 
 @given(st.lists(st.tuples(*[st.integers(0, 4)] * 4), max_size=6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_face_belongs_to_exactly_one_object_that_fits_it(drawn: list[tuple[int, int, int, int]]) -> None:
     faces = [block(31.0 * x, 41.0 * y, 20.0 + 8.0 * z, 45.0 * turn) for x, y, z, turn in drawn]
     groups = group_faces(faces, TABLE_Z_MM, KINDS)

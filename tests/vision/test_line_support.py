@@ -33,7 +33,7 @@ def difference_deg(first: float, second: float) -> float:
     return abs((first - second + 180.0) % 360.0 - 180.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(angle_deg=st.floats(0.0, 359.9), offset_px=st.floats(-3.0, 3.0))
 @example(angle_deg=179.984375, offset_px=0.0)
 def test_a_straight_edge_is_one_line_at_its_place(angle_deg: float, offset_px: float) -> None:

@@ -157,7 +157,7 @@ def lists_of_planes(draw: st.DrawFn) -> tuple[list[Plane], list[Plane]]:
     st.sampled_from([0.3, 1.1, 2.2, 50.0]),
     st.sampled_from([(0.0, 40.0), (-30.0, 90.0)]),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_the_same_matches_and_doubts_as_by_looking_at_all_pairs(
     planes: tuple[list[Plane], list[Plane]],
     maxima: Maxima,
@@ -192,7 +192,7 @@ def crowd(seed: int) -> tuple[list[Plane], list[Plane]]:
 
 
 @given(st.integers(0, 10**6), st.sampled_from(Maxima))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_same_on_a_crowded_table(seed: int, maxima: Maxima) -> None:
     limits = replace(PAPER, ordered=True, maxima=maxima, max_column_margin_px=4.0)
     left, right = crowd(seed)

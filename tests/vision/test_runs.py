@@ -11,7 +11,7 @@ from srvs_cell.vision.region_growing import grow_between_edges
 from srvs_cell.vision.runs import RowRuns, joined, runs_of, touching_runs
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10_000), share=st.floats(0.05, 0.95), size=st.tuples(st.integers(1, 30), st.integers(2, 30)))
 def test_runs_that_touch_join_to_the_components_of_opencv(seed: int, share: float, size: tuple[int, int]) -> None:
     mask = np.random.default_rng(seed).random(size) < share
@@ -46,7 +46,7 @@ def test_sums_and_new_numbers_of_runs() -> None:
     assert runs.painted(np.array([0, 7, 5], dtype=np.int32), labels.shape).tolist() == [[7, 7, 5], [5, 5, 0]]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000))
 def test_every_region_is_connected_and_none_lies_on_an_edge(seed: int) -> None:
     generator = np.random.default_rng(seed)

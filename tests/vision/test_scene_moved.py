@@ -72,7 +72,7 @@ STILL = Transform.from_xyzwpr("base", "base", Xyzwpr(0.0, 0.0, 0.0, 0.0, 0.0, 0.
 
 
 @given(st.floats(0.6, 1.15), st.floats(-5.0, 10.0))
-@settings(max_examples=2, deadline=None, derandomize=True)
+@settings(max_examples=2, derandomize=True)
 def test_a_brighter_or_darker_scene_has_the_same_answer(
     scene: Scene, answer: tuple[Workpiece, ...], gain: float, offset: float
 ) -> None:
@@ -82,7 +82,7 @@ def test_a_brighter_or_darker_scene_has_the_same_answer(
 
 
 @given(st.floats(-400.0, 400.0), st.floats(-400.0, 400.0), st.floats(-90.0, 90.0), st.floats(-180.0, 180.0))
-@settings(max_examples=2, deadline=None, derandomize=True)
+@settings(max_examples=2, derandomize=True)
 def test_another_base_frame_moves_the_answer(
     scene: Scene, answer: tuple[Workpiece, ...], x_mm: float, y_mm: float, z_mm: float, turn_deg: float
 ) -> None:

@@ -33,7 +33,7 @@ def test_a_ring_stays_one_closed_ring() -> None:
     assert inside == 2
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(arrays(np.bool_, (12, 14), elements=st.booleans()))
 def test_thinning_only_removes_and_thins_no_further(mask: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> None:
     line = thin(mask)

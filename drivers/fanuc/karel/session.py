@@ -26,7 +26,8 @@ MOST_BAD_LINES: Final = 8
 """So many lines one after the other that are none: this is not noise."""
 
 _REMEMBERED: Final = 16
-"""How many numbers that are done with are remembered: a late or a second reply to them is let pass."""
+"""How many numbers that are done with are remembered: a late or a second reply to them is let pass, also in the next
+conversation, since a robot that stood still answers on a serial line what it was asked in the last one."""
 
 
 class NoAnswerError(PortError):
@@ -89,7 +90,6 @@ class LineSession:
             PortError: PROTOCOL_ERROR, PROTOCOL_VERSION where something else answers.
         """
         self.lost, self.bad_lines, self._bad_in_a_row = None, 0, []
-        self._done_with.clear()
         self._buffer = LineBuffer()
         await self._link.open(self._take, self._end)
         self._open = True

@@ -39,6 +39,7 @@ class ScriptedVideo:
         self.frozen_at_s: float | None = None
         self.stamp_offset_s = 0.0
         self.stuck: dict[int, float] = {}
+        self._misdated = 0
         self.retrieved = 0
         self.grabbed = 0
         self.size_px = size_px
@@ -61,7 +62,14 @@ class ScriptedVideo:
         stamp_s = self._time.now_s() if self.frozen_at_s is None else self.frozen_at_s
         self._queue.append((self.grabbed, stamp_s))
         self._current = self._queue[0]
+        if self._misdated > 0:
+            self._misdated -= 1
+            self._current = (self._current[0], self._time.now_s() + 0.2)
         return True
+
+    def misdate(self, count: int) -> None:
+        """Stamp the next frames with an instant that is still to come, as vivid does."""
+        self._misdated = count
 
     def retrieve(self) -> tuple[bool, NDArray[np.uint8] | None]:
         self.retrieved += 1

@@ -91,6 +91,12 @@ async def test_pictures_that_cannot_be_decoded_and_stamps_of_another_clock() -> 
     assert wrong(await camera.diagnose()) == {"stream": (FindingLevel.FAILED, Alarm.PROTOCOL_ERROR)}
 
 
+async def test_one_frame_from_the_future_is_nothing() -> None:
+    camera, video = _camera()
+    video.misdate(1)
+    assert wrong(await camera.diagnose()) == {}
+
+
 async def test_a_device_that_does_not_open() -> None:
     camera, video = _camera()
     video.opened = False

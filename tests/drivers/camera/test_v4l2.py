@@ -103,13 +103,34 @@ async def test_an_unplugged_camera_is_lost_and_can_be_connected_again() -> None:
         await b.camera.grab(b.clock.now_s(), 1.0)
 
 
-async def test_a_stamp_that_is_not_monotonic_is_refused() -> None:
+async def test_stamps_that_are_not_monotonic_are_refused() -> None:
     async with streaming() as b:
         b.video.stamp_offset_s = 1.7e9  # seconds since 1970
         with pytest.raises(PortError) as error:
             await b.camera.grab(b.clock.now_s(), 1.0)
         assert error.value.alarm is Alarm.PROTOCOL_ERROR
         assert "CLOCK_MONOTONIC" in error.value.detail
+
+
+async def test_a_frame_from_the_future_is_dropped_and_counted_and_the_stream_goes_on() -> None:
+    async with streaming() as b:
+        for _ in range(3):
+            b.video.misdate(1)
+            not_before_s = b.clock.now_s()
+            frame = await b.camera.grab(not_before_s, 2.0)
+            assert not_before_s <= frame.exposed_at_s <= b.clock.now_s()
+        assert b.camera.counters["misdated"] == 3
+        assert b.camera.counters["streams_lost"] == 0
+
+
+async def test_a_frame_that_has_lain_for_minutes_is_stale() -> None:
+    async with streaming() as b:
+        b.video.stamp_offset_s = -90.0
+        with pytest.raises(FrameError, match=r"exposed (89|90)\.\d+ s too early") as stale:
+            await b.camera.grab(b.clock.now_s(), 1.0)
+        assert stale.value.alarm is Alarm.CAMERA_STALE
+        b.video.stamp_offset_s = 0.0
+        await b.camera.grab(b.clock.now_s(), 1.0)
 
 
 async def test_a_late_stamp_is_moved_back_to_the_start_of_exposure() -> None:

@@ -72,7 +72,7 @@ def test_a_command_is_finished_when_it_is_acknowledged_as_done() -> None:
 
 
 ALARMED = replace(BUSY, uop=READY.uop | UopOutput.FAULT | UopOutput.PAUSED)
-REJECTING = [code for code in FaultCode if 0 < code < FaultCode.HOLD_ACTIVE]
+REJECTING = [code for code in FaultCode if 0 < code < FaultCode.PC_HEARTBEAT]
 
 
 @pytest.mark.parametrize(
@@ -82,6 +82,7 @@ REJECTING = [code for code in FaultCode if 0 < code < FaultCode.HOLD_ACTIVE]
             (replace(READY, state=State.FAULT, fault_code=c), CommandRejectedError, Alarm.TARGET_REJECTED)
             for c in REJECTING
         ),
+        (replace(READY, state=State.FAULT, fault_code=6), CommandRejectedError, Alarm.HEARTBEAT_LOST),
         (replace(READY, state=State.FAULT, fault_code=7), MotionStoppedError, Alarm.MOTION_STOPPED),
         (replace(READY, state=State.FAULT, fault_code=20), MotionStoppedError, Alarm.MOTION_STOPPED),
         (replace(READY, state=State.FAULT, fault_code=21), MotionStoppedError, Alarm.HEARTBEAT_LOST),

@@ -77,7 +77,7 @@ def _talk() -> Conversation:
 
 
 @given(st.binary(max_size=60), st.integers(0, 30_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_robot_computes_the_same_checksum(text: bytes, sequence: int) -> None:
     c = _talk()
     body = b">%d,%b" % (sequence, re.sub(rb"[^A-Z0-9,]", b"", text))
@@ -88,7 +88,7 @@ def test_the_robot_computes_the_same_checksum(text: bytes, sequence: int) -> Non
 
 
 @given(st.lists(st.binary(max_size=80), max_size=4))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_garbage_moves_the_robot_or_ends_its_program(pieces: list[bytes]) -> None:
     c = _talk()
     c.sequence = 10  # the same lines in every example
@@ -102,7 +102,7 @@ def test_no_garbage_moves_the_robot_or_ends_its_program(pieces: list[bytes]) -> 
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_damaged_move_moves_the_robot(data: st.DataObject) -> None:
     c = _talk()
     c.sequence = 10  # the same lines in every example

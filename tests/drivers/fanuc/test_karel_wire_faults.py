@@ -288,7 +288,7 @@ async def test_sequence_numbers_go_round() -> None:
 
 
 @given(st.lists(st.binary(max_size=40), min_size=1, max_size=3))
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 def test_no_garbage_from_the_wire_moves_the_arm_or_hangs_the_driver(pieces: list[bytes]) -> None:
     async def run() -> None:
         async with karel_bench() as b:

@@ -219,7 +219,7 @@ async def test_garbage_is_answered_with_an_abort_and_goodbye() -> None:
 
 
 @given(st.lists(st.binary(max_size=64), min_size=1, max_size=4))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_no_garbage_makes_the_arm_move_or_the_driver_hang(pieces: list[bytes]) -> None:
     async def run() -> None:
         async with rmi_bench() as b:

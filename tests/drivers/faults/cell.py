@@ -115,7 +115,7 @@ def _through_the_robot(b: AnyBench) -> Gripper:
 async def wire_cell(
     wire: str, folder: Path, make_gripper: Callable[[AnyBench], Gripper] = _through_the_robot
 ) -> AsyncIterator[WireCell]:
-    """Run a cell on ``modbus``, ``rmi`` or ``karel``."""
+    """Run a cell on ``modbus``, ``rmi``, ``karel`` (TCP) or ``karel_serial``."""
     async with contextlib.AsyncExitStack() as stack:
         b: AnyBench
         if wire == "modbus":
@@ -123,7 +123,8 @@ async def wire_cell(
         elif wire == "rmi":
             b = await stack.enter_async_context(rmi_bench(make_point=GrippingArm))
         else:
-            b = await stack.enter_async_context(karel_bench(make_point=GrippingArm))
+            carrier = "serial" if wire == "karel_serial" else "tcp"
+            b = await stack.enter_async_context(karel_bench(carrier, make_point=GrippingArm))
         assert isinstance(b.point, GrippingArm)
         workers = 0
         wire_busy = b.clock.busy

@@ -18,7 +18,7 @@ _MET_BY_THE_MONITOR = {"CONNECTION_LOST", "CONNECTION_TIMEOUT", "PROTOCOL_ERROR"
 
 
 async def judge(wire: str, fault: Fault, ending: Ending, folder: Path) -> None:
-    """Run one row of the table on ``modbus``, ``rmi`` or ``karel``."""
+    """Run one row of the table on ``modbus``, ``rmi``, ``karel`` (TCP) or ``karel_serial``."""
     async with asyncio.timeout(100.0), wire_cell(wire, folder) as c:
         await _reach(c, fault.when)
         commanded, warned = c.motions, set(c.cell.alarms)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from srvs_cell.alarms import Alarm
-from tests.drivers.faults.table import KAREL, TABLE, UNKNOWN, Ending
+from tests.drivers.faults.table import KAREL, KAREL_SERIAL, TABLE, UNKNOWN, Ending, Fault
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "faults.md"
 
@@ -18,11 +18,10 @@ holds of the move under way, *gripper* what the cell knows of it. Where the outc
 `resolve gripper empty|holding` comes first; then `clear` and `reset`. In every row the test also checks that nothing
 moves after the fault has been dealt with: not by itself, and not by resolve and clear. CONNECTION_LOST,
 CONNECTION_TIMEOUT or ROBOT_FAULT may come beside the alarm that is named, from whoever reads the arm's status at the
-same time. A job that goes on (no alarm) needs nobody. The KAREL line protocol is tested over TCP here, over both of its
-carriers beneath the cell.
+same time. A job that goes on (no alarm) needs nobody. Over RS-232 the rows that the carrier has to do with are run.
 
-| fault | strikes in | Modbus TCP | RMI | KAREL | note |
-|---|---|---|---|---|---|
+| fault | strikes in | Modbus TCP | RMI | KAREL over TCP | KAREL over RS-232 | note |
+|---|---|---|---|---|---|---|
 """
 
 
@@ -30,10 +29,17 @@ def page() -> str:
     """Return the page."""
     rows = [
         f"| {fault.title} | {fault.when} | {_ending(fault.modbus)} | {_ending(fault.rmi)} "
-        f"| {_ending(KAREL[fault.strike, fault.when])} | {fault.note} |"
+        f"| {_ending(KAREL[fault.strike, fault.when])} | {_over_serial(fault)} | {fault.note} |"
         for fault in TABLE
     ]
     return _HEAD + "\n".join(rows) + "\n"
+
+
+def _over_serial(fault: Fault) -> str:
+    row = fault.strike, fault.when
+    if row not in KAREL_SERIAL:
+        return "-"
+    return "as over TCP" if KAREL_SERIAL[row] == KAREL[row] else _ending(KAREL_SERIAL[row])
 
 
 def _ending(ending: Ending | None) -> str:

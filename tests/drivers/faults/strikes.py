@@ -12,6 +12,7 @@ from drivers.sim.modbus_controller import ModbusController
 from drivers.sim.modbus_server import WireFault
 from drivers.sim.rmi_controller import RmiController
 from drivers.sim.rmi_server import RmiFault
+from srvs_cell.cell import Command
 from srvs_cell.ports import PortError, RobotMode
 from tests.drivers.fanuc.bench import Bench
 from tests.drivers.fanuc.karel_bench import KarelBench
@@ -71,7 +72,9 @@ def mend(c: WireCell) -> None:
 
 
 async def cut(c: WireCell) -> None:
-    if isinstance(c.b, KarelBench):
+    if isinstance(c.b, KarelBench) and c.b.carrier == "serial":
+        await silence(c)
+    elif isinstance(c.b, KarelBench):
         c.b.controller.wire.cut()
     else:
         c.b.controller.server.cut()
@@ -157,6 +160,12 @@ async def robot_heartbeat_frozen(c: WireCell) -> None:
     _slow_down(c, 50.0)  # long enough for the driver's patience
 
 
+async def started_without_heartbeat(c: WireCell) -> None:
+    assert isinstance(c.b.controller, ModbusController)
+    c.b.controller.heartbeat_frozen = True
+    await c.cell.give(Command.START)
+
+
 async def pc_heartbeat_frozen(c: WireCell) -> None:
     """The process hangs: it neither counts nor reads."""
     if isinstance(c.b, KarelBench):
@@ -186,6 +195,6 @@ STRIKES: Final[dict[str, Callable[[WireCell], Coroutine[None, None, None]]]] = {
     for strike in (
         cut, half_a_packet, silence, reply_for_another, duplicate_reply, nonsense, emergency_stop, collision,
         override_lowered, switched_to_t1, rebooted, second_client, another_writes_commands, part_lost,
-        robot_heartbeat_frozen, pc_heartbeat_frozen, paused_on_the_pendant,
+        robot_heartbeat_frozen, started_without_heartbeat, pc_heartbeat_frozen, paused_on_the_pendant,
     )
 }  # fmt: skip

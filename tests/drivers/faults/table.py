@@ -113,6 +113,11 @@ TABLE: Final = (
         "KAREL: the program that would stop the arm stands still itself; the move goes on to its target.",
     ),
     Fault(
+        "started_without_heartbeat", "The robot's heartbeat freezes just before a move", "idle",
+        Ending("HEARTBEAT_LOST", "Aborted", "rejected", "empty"), None,
+        "The robot's program refuses the command (fault 6): nothing has moved.",
+    ),
+    Fault(
         "pc_heartbeat_frozen", "The PC's heartbeat freezes during a move", _MOVE, _FROZEN, None,
         "The robot ends the move by itself. RMI has no heartbeat: a PC that hangs lets the move go on to its target.",
     ),
@@ -125,3 +130,15 @@ KAREL: Final = {
     ("pc_heartbeat_frozen", _MOVE): _FROZEN,
 }
 """What the rows end in on the KAREL line protocol: as on RMI, but for its heartbeats and its memory for numbers."""
+
+_ON_THE_WIRE: Final = {
+    "cut", "silence", "half_a_packet", "nonsense", "reply_for_another", "duplicate_reply", "rebooted", "second_client",
+    "robot_heartbeat_frozen", "pc_heartbeat_frozen",
+}  # fmt: skip
+
+KAREL_SERIAL: Final = {
+    **{row: ending for row, ending in KAREL.items() if row[0] in _ON_THE_WIRE},
+    ("cut", "idle"): _SILENT,
+    ("cut", "suspended"): _SILENT,
+}
+"""The rows that a carrier has to do with, over RS-232: a line that is cut is silent, nobody says that it has gone."""

@@ -53,7 +53,7 @@ HEADERS = st.builds(
 
 @given(st.binary(max_size=40) | st.builds(lambda header, rest: header + rest, HEADERS, st.binary(max_size=64)))
 @example(HEADER.pack(1, 1, float("nan"), 4, 4) + bytes(16))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_any_answer_is_a_frame_or_is_named(answer: bytes) -> None:
     for ask in (SimCapture.grab, SimCapture.retrieve):
         with facing(answer) as capture:
@@ -92,7 +92,7 @@ def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
 
 
 @given(data=st.binary(max_size=30) | st.lists(st.sampled_from([b"R", b"G"]), max_size=4).map(b"".join))
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_request_is_answered_or_ends_the_connection_and_the_next_reader_is_served(port: int, data: bytes) -> None:
     with socket.create_connection(("127.0.0.1", port), 10.0) as connection, contextlib.suppress(OSError):
         connection.sendall(data)

@@ -53,7 +53,7 @@ def ask(port: int, data: bytes) -> bytes:
 @example(data=struct.pack(">HHHBBHHBH", 1, 0, 9, 1, 16, 0, 2, 4, 7))  # words announced, half sent
 @example(data=struct.pack(">HHHBBHH", 1, 0, 6, 1, 5, 2, 7))  # a coil that is neither on nor off
 @example(data=b"\x00" * 100_000)
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_the_double_survives(double: tuple[ModbusController, int], data: bytes) -> None:
     controller, port = double
     received = ask(port, data)

@@ -23,7 +23,7 @@ SEQUENCE_REGISTER = struct.pack(">BH", 16, registers.SEQUENCE_WORD - 1)
 
 
 @given(st.sampled_from([PROTOCOL, 0, 4202]), WORDS, st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_words_are_a_reading_or_another_protocol(protocol: int, words: list[int], hold: bool) -> None:
     words[0] = protocol
     try:
@@ -111,7 +111,7 @@ async def facing(script: list[Any], tail: bytes) -> AsyncIterator[tuple[FanucMod
 @example([(None, 0, None, 1, b"\x83")], b"")
 @example([(None, 0, None, 1, b"\x03")], b"")
 @example([(None, 0, 0xFFFF, 1, READING)], b"\x00" * 70_000)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_no_answer_crashes_or_hangs_the_driver_or_makes_it_command_a_move(script: list[Any], tail: bytes) -> None:
     async def run() -> None:
         async with asyncio.timeout(20.0), facing(script, tail) as (arm, hostile):

@@ -94,7 +94,7 @@ def double() -> Iterator[Double]:
 @example(packets=[{"Instruction": "FRC_SetUFrame", "SequenceID": True, "FrameNumber": "1"}])
 @example(packets=[{"Command": "FRC_SetUFrameUTool", "UFrameNumber": {}, "UToolNumber": None}])
 @example(packets=[{"Command": "FRC_SetOverRide", "Value": [1]}])
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_no_packet_ends_the_double_or_moves_it(double: Double, packets: list[object]) -> None:
     double.converse(*READY, *(as_line(packet) + b"\r\n" for packet in packets))
     (last,) = double.converse()[-1:]
@@ -109,7 +109,7 @@ def test_no_packet_ends_the_double_or_moves_it(double: Double, packets: list[obj
 @example(data=b'{"a":' * 3000 + b"1" + b"}" * 3000 + b"\r\n")
 @example(data=b"\xff\xfe\r\n\r\n{}\r\n[]\r\n1\r\nnull\r\n")
 @example(data=b'{"Command":' + b"9" * 5000 + b"}\r\n")
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_no_bytes_end_the_double(double: Double, data: bytes) -> None:
     double.converse(data)
     with socket.create_connection(("127.0.0.1", double.port), 10.0) as first, contextlib.suppress(OSError):

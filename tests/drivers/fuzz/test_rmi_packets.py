@@ -69,13 +69,13 @@ def read(line: bytes) -> None:
 @example({"Command": "FRC_ReadError", "ErrorID": 0, "ErrorData": "\ud800\x00\x1b[31m SRVO-001"})
 @example({"Command": "\ud800", "ErrorID": 0})
 @example({"Command": "FRC_GetStatus", "ErrorID": 10**400})
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_any_packet_is_read_or_named(packet: object) -> None:
     read(as_line(packet))
 
 
 @given(st.binary(max_size=200))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_any_line_is_read_or_named(line: bytes) -> None:
     read(line)
 
@@ -89,7 +89,7 @@ def test_a_packet_nested_however_deeply_is_named(depth: int, key: str) -> None:
 
 
 @given(st.lists(st.binary(max_size=60), max_size=12))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_lines_are_the_same_however_their_bytes_are_cut(pieces: list[bytes]) -> None:
     data = b"".join(pieces)
     whole, cut, single = LineBuffer(), LineBuffer(), LineBuffer()
@@ -110,7 +110,7 @@ def test_bytes_without_an_end_take_a_bounded_memory() -> None:
 @given(st.lists(PACKETS, min_size=1, max_size=3), st.booleans())
 @example([{"Instruction": "FRC_LinearMotion", "SequenceID": 1, "ErrorID": float("nan")}], True)
 @example([{"Instruction": "FRC_LinearMotion", "SequenceID": 1, "ErrorID": 10**30}], True)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_no_packet_begins_a_move_or_repeats_one(packets: list[object], moving: bool) -> None:
     async def run() -> None:
         async with asyncio.timeout(30.0), rmi_bench() as b:

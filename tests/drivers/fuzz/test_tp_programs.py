@@ -60,7 +60,7 @@ def judge(sources: dict[str, str]) -> None:
 @example(["LBL[1]", "JMP LBL[1]"])
 @example(["CALL MAIN"])
 @example(["RUN MAIN"])
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_any_statements(statements: list[str]) -> None:
     judge({"MAIN.LS": program("MAIN", *statements)})
 
@@ -89,7 +89,7 @@ def damaged(draw: st.DrawFn) -> dict[str, str]:
 
 
 @given(damaged())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_damaged_programs(sources: dict[str, str]) -> None:
     judge(sources)
 

@@ -11,7 +11,7 @@ from srvs_cell.ports import GripState, PortError
 from tests.drivers.gripper.robotiq_bench import robotiq_bench
 
 HASTY_S = 0.05
-QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+QUICK = settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 
 
 async def _read_after(answer: bytes) -> GripState | None:

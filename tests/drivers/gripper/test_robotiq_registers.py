@@ -1,7 +1,7 @@
 """The gripper's registers: the manual's own examples, and whatever else may come over a wire."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.gripper.robotiq_faults import describe, fault_of
@@ -18,7 +18,6 @@ from drivers.gripper.robotiq_registers import (
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import PortError
 
-PATIENT = settings(deadline=None)
 WORDS = st.integers(0, 0xFFFF)
 
 
@@ -49,7 +48,6 @@ def test_the_manuals_answers(
     assert status.fault == 0
 
 
-@PATIENT
 @given(st.lists(WORDS, max_size=6))
 def test_any_words_are_a_status_or_a_protocol_error(words: list[int]) -> None:
     if len(words) != 3 or words[0] >> 12 & 3 == 2:
@@ -97,7 +95,6 @@ def strokes(draw: st.DrawFn) -> Stroke:
     return Stroke(tuple((count, opening / 10.0) for count, opening in zip(counts, openings, strict=True)))
 
 
-@PATIENT
 @given(strokes(), st.integers(0, 255), st.integers(0, 255))
 def test_a_stroke_never_opens_while_it_closes(stroke: Stroke, one: int, other: int) -> None:
     low, high = sorted((one, other))

@@ -32,7 +32,7 @@ def _points(rays: np.ndarray) -> np.ndarray:
     return np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(LENSES)
 def test_projecting_a_pixels_ray_gives_the_pixel(lens: Lens) -> None:
     pixels = _grid(lens)
@@ -40,7 +40,7 @@ def test_projecting_a_pixels_ray_gives_the_pixel(lens: Lens) -> None:
     assert np.abs(lens.project(_points(rays)) - pixels).max() < 1e-9
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(LENSES)
 def test_projection_is_opencvs(lens: Lens) -> None:
     points = np.random.default_rng(1).uniform((-0.3, -0.2, 0.9), (0.3, 0.2, 1.1), (50, 3))
@@ -49,7 +49,7 @@ def test_projection_is_opencvs(lens: Lens) -> None:
     assert np.abs(lens.project(points) - theirs[:, 0]).max() < 1e-9
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(LENSES)
 def test_the_rays_derivative_predicts_sub_pixel_rays(lens: Lens) -> None:
     pixels = _grid(lens)

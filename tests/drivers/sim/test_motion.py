@@ -40,7 +40,7 @@ def test_stretched_out_the_flange_is_where_the_link_lengths_put_it() -> None:
     assert pose[:3, 3] == pytest.approx([150.0 + 640.0 + 100.0 + 240.0, 0.0, 600.0 + 200.0])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(550, 950), st.floats(-300, 300), st.floats(-40, 450), st.floats(-170, 170))
 def test_forward_undoes_inverse(x: float, y: float, z: float, r: float) -> None:
     pose = _matrix(x, y, z, r)
@@ -50,7 +50,7 @@ def test_forward_undoes_inverse(x: float, y: float, z: float, r: float) -> None:
     assert np.abs(KINEMATICS.forward(joints[None])[0] - pose).max() < 1e-6
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(20, 300), st.floats(30, 500))
 def test_a_straight_move_takes_the_time_of_its_trapezoid(length: float, speed: float) -> None:
     start = _matrix(700.0, -150.0, 300.0)
