@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from drivers.sim.modbus_server import HoldableTime
-
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from srvs_cell.geometry import Xyzwpr
     from srvs_cell.ports import RobotMode
 
@@ -69,6 +69,14 @@ class ControlledArm(Protocol):
 
     def input(self, n: int) -> bool:
         """Read DI[n]."""
+        ...
+
+
+class HoldableTime(Protocol):
+    """The part of the simulated time that a server needs."""
+
+    def hold(self) -> AbstractContextManager[None]:
+        """Let simulated time stand still inside the block."""
         ...
 
 

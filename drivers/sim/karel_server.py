@@ -6,17 +6,19 @@ time stands still from the arrival of bytes until what they lead to is sent.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
-import socket
 import threading
 import tty
 from enum import Enum
 from typing import TYPE_CHECKING, Final, Protocol
 
+from drivers.sim.one_client import OneClient
+
 if TYPE_CHECKING:
-    from drivers.sim.modbus_server import HoldableTime
+    import socket
+
+    from drivers.sim.controlled_arm import HoldableTime
 
 _PIECE: Final = 4096
 _LOOK_S: Final = 0.05
@@ -212,107 +214,58 @@ class TcpCarrier:
         self.refuses_second = True
         self._port = port
         self._device: KarelDevice | None = None
-        self._listener: socket.socket | None = None
-        self._connection: socket.socket | None = None
+        self._client = OneClient("KAREL double")
         self._waiting: socket.socket | None = None
-        self._threads: list[threading.Thread] = []
-        self._lock = threading.RLock()
 
     @property
     def connected(self) -> bool:
         """Whether a client is there."""
-        with self._lock:
-            return self._connection is not None and not _ended(self._connection)
+        return self._client.connected
 
     def let_in(self) -> bool:
         """Take the client that waits."""
-        with self._lock:
+        with self._client.lock:
             waiting, self._waiting = self._waiting, None
-            if waiting is None or self._device is None:
-                return False
-            self._connection = waiting
-        self._spawn(self._serve, waiting)
-        return True
+        return waiting is not None and self._client.take(waiting, self._serve)
 
     def start(self, device: KarelDevice) -> str:
         """Listen; return the port."""
         self._device = device
-        self._listener = socket.create_server(("127.0.0.1", self._port))
-        self._spawn(self._accept, self._listener)
-        return str(self._listener.getsockname()[1])
+        return str(self._client.listen(self._port, self._welcome))
 
     def close(self) -> None:
         """Close everything and wait for the threads."""
-        with self._lock:
-            listener, self._listener = self._listener, None
-            waiting, self._waiting = self._waiting, None
-        if listener is not None:
-            with contextlib.suppress(OSError):  # not connected: shutdown only wakes the accept
-                listener.shutdown(socket.SHUT_RDWR)
-            listener.close()
-        if waiting is not None:
-            waiting.close()
-        self.hang_up()
-        for thread in self._threads:
-            thread.join()
-        self._threads.clear()
+        self._client.close()
+        if self._waiting is not None:
+            self._waiting.close()
 
     def hang_up(self) -> None:
         """Close the connection of the client that is in."""
-        with self._lock:
-            connection, self._connection = self._connection, None
-        if connection is not None:
-            with contextlib.suppress(OSError):  # the client may have closed it already
-                connection.shutdown(socket.SHUT_RDWR)
+        self._client.cut()
 
     def send(self, data: bytes) -> None:
         """Send bytes to the client."""
-        with self._lock, contextlib.suppress(OSError):  # a client that has gone hears nothing
-            if self._connection is not None:
-                self._connection.sendall(data)
+        self._client.send(data)
 
-    def _spawn(self, target: object, argument: socket.socket) -> None:
-        thread = threading.Thread(target=target, args=(argument,), name="KAREL double", daemon=True)  # type: ignore[arg-type]
-        self._threads.append(thread)
-        thread.start()
-
-    def _accept(self, listener: socket.socket) -> None:
-        while True:
-            try:
-                connection, _ = listener.accept()
-            except OSError:  # the listener was closed
-                return
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            with self._lock:
-                held = self._listener is None or self._waiting is not None or (self.refuses_second and self.connected)
-                if not held:
-                    self._waiting = connection
-            if held:
-                connection.close()
-            elif self._device is not None:
-                self._device.connection_changed()
+    def _welcome(self, connection: socket.socket) -> None:
+        with self._client.lock:
+            held = self._waiting is not None or (self.refuses_second and self.connected)
+            if not held:
+                self._waiting = connection
+        if held:
+            connection.close()
+        elif self._device is not None:
+            self._device.connection_changed()
 
     def _serve(self, connection: socket.socket) -> None:
         device = self._device
         if device is None:
             return
-        with connection, contextlib.suppress(OSError):  # a connection that is cut ends its thread
+        try:
             while data := connection.recv(_PIECE):
                 device.take(data)
-        with self._lock:
-            if self._connection is connection:
-                self._connection = None
-        device.connection_changed()
-
-
-def _ended(connection: socket.socket) -> bool:
-    """Return whether the client has closed a connection, though its thread may not have noticed yet."""
-    try:
-        return connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
+        finally:
+            device.connection_changed()
 
 
 class PtyCarrier:

@@ -6,15 +6,16 @@ with what talks to it. Simulated time stands still from the arrival of a request
 
 from __future__ import annotations
 
-import contextlib
-import socket
 import struct
-import threading
 from enum import Enum
 from typing import TYPE_CHECKING, Final, Protocol
 
+from drivers.sim.one_client import OneClient
+
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
+    import socket
+
+    from drivers.sim.controlled_arm import HoldableTime
 
 _HEADER: Final = struct.Struct(">HHHB")
 _ILLEGAL_FUNCTION: Final = 1
@@ -34,14 +35,6 @@ _MOST: Final = {
 }
 """How many of each one request may be about."""
 _NONSENSE: Final = b"HTTP/1.1 400 Bad Request\r\n\r\n"
-
-
-class HoldableTime(Protocol):
-    """The part of the simulated time that a server needs."""
-
-    def hold(self) -> AbstractContextManager[None]:
-        """Let simulated time stand still inside the block."""
-        ...
 
 
 class ModbusDevice(Protocol):
@@ -89,96 +82,48 @@ class ModbusServer:
         self.fault = WireFault.NONE
         self.requests = 0
         self._device, self._time, self._port, self._unit_id = device, time, port, unit_id
-        self._listener: socket.socket | None = None
-        self._connection: socket.socket | None = None
-        self._threads: list[threading.Thread] = []
-        self._lock = threading.Lock()
+        self._client = OneClient("Modbus double")
 
     def start(self) -> int:
         """Listen; return the bound port."""
-        listener = socket.create_server(("127.0.0.1", self._port))
-        self._listener = listener
-        self._port = int(listener.getsockname()[1])
-        self._spawn(self._accept, listener)
-        return self._port
+        return self._client.listen(self._port, lambda connection: self._client.take(connection, self._serve))
 
     def close(self) -> None:
         """Close listener and connection and wait for the threads."""
-        with self._lock:
-            listener, self._listener = self._listener, None
-        if listener is not None:
-            with contextlib.suppress(OSError):  # not connected: shutdown only wakes the accept
-                listener.shutdown(socket.SHUT_RDWR)
-            listener.close()
-        self.cut()
-        for thread in self._threads:
-            thread.join()
-        self._threads.clear()
+        self._client.close()
 
     def cut(self) -> None:
         """Close the connection at once, as a pulled cable that is plugged in again would."""
-        with self._lock:
-            connection, self._connection = self._connection, None
-        if connection is not None:
-            with contextlib.suppress(OSError):  # the client may have closed it already
-                connection.shutdown(socket.SHUT_RDWR)
-
-    def _spawn(self, target: object, argument: socket.socket) -> None:
-        thread = threading.Thread(target=target, args=(argument,), name="Modbus double", daemon=True)  # type: ignore[arg-type]
-        self._threads.append(thread)
-        thread.start()
-
-    def _accept(self, listener: socket.socket) -> None:
-        while True:
-            try:
-                connection, _ = listener.accept()
-            except OSError:  # the listener was closed
-                return
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            with self._lock:
-                taken = self._listener is None or (self._connection is not None and not _ended(self._connection))
-                if not taken:
-                    self._connection = connection
-            if taken:
-                connection.close()
-            else:
-                self._spawn(self._serve, connection)
+        self._client.cut()
 
     def _serve(self, connection: socket.socket) -> None:
         late = b""
-        with connection, contextlib.suppress(OSError):  # a connection that is cut ends its thread
-            while True:
-                header = _receive(connection, _HEADER.size)
-                if not header:
-                    break
-                transaction, protocol, length, unit = _HEADER.unpack(header)
-                pdu = _receive(connection, length - 1)
-                if protocol != 0 or not pdu:
-                    break
-                if unit != self._unit_id:  # a wrong unit id meets silence on the real server too
+        while header := _receive(connection, _HEADER.size):
+            transaction, protocol, length, unit = _HEADER.unpack(header)
+            pdu = _receive(connection, length - 1)
+            if protocol != 0 or not pdu:
+                return
+            if unit != self._unit_id:  # a wrong unit id meets silence on the real server too
+                continue
+            with self._time.hold():
+                self.requests += 1
+                fault = self.fault
+                if fault is WireFault.DEAF:
                     continue
-                with self._time.hold():
-                    self.requests += 1
-                    fault = self.fault
-                    if fault is WireFault.DEAF:
-                        continue
-                    answer = self._answer(pdu, fault)
-                    packet = _HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer
-                    if fault is WireFault.SILENT:
-                        continue
-                    if fault is WireFault.CUT:
-                        break
-                    if fault is WireFault.HALF_PACKET:
-                        connection.sendall(packet[: len(packet) // 2])
-                        break
-                    if fault is WireFault.LATE:
-                        packet, late = late, packet
-                    if fault is WireFault.DUPLICATE:
-                        packet *= 2
-                    connection.sendall(_NONSENSE if fault is WireFault.NONSENSE else packet)
-        with self._lock:
-            if self._connection is connection:
-                self._connection = None
+                answer = self._answer(pdu, fault)
+                packet = _HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer
+                if fault is WireFault.SILENT:
+                    continue
+                if fault is WireFault.CUT:
+                    return
+                if fault is WireFault.HALF_PACKET:
+                    connection.sendall(packet[: len(packet) // 2])
+                    return
+                if fault is WireFault.LATE:
+                    packet, late = late, packet
+                if fault is WireFault.DUPLICATE:
+                    packet *= 2
+                connection.sendall(_NONSENSE if fault is WireFault.NONSENSE else packet)
 
     def _answer(self, pdu: bytes, fault: WireFault) -> bytes:
         function = pdu[0]
@@ -225,16 +170,6 @@ class ModbusServer:
         bits = device.read_coils(address, count) if function == _READ_COILS else device.read_inputs(address, count)
         packed = sum(bit << i for i, bit in enumerate(bits)).to_bytes((count + 7) // 8, "little")
         return bytes([len(packed)]) + packed
-
-
-def _ended(connection: socket.socket) -> bool:
-    """Return whether the client has closed a connection, though its thread may not have noticed yet."""
-    try:
-        return connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
 
 
 def _receive(connection: socket.socket, count: int) -> bytes:

@@ -9,12 +9,13 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-import threading
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from drivers.sim.one_client import OneClient
+
 if TYPE_CHECKING:
-    from drivers.sim.modbus_server import HoldableTime
+    from drivers.sim.controlled_arm import HoldableTime
 
 _ALREADY_CONNECTED: Final = 2556954
 _NONSENSE: Final = b"HTTP/1.1 400 Bad Request\r\n\r\n"
@@ -70,50 +71,28 @@ class RmiServer:
         self.redirect = True
         self.received: list[str] = []
         self._device, self._time, self._port, self._session_port = device, time, port, session_port
-        self._listeners: list[socket.socket] = []
         self._fillers: list[socket.socket] = []
-        self._connection: socket.socket | None = None
-        self._threads: list[threading.Thread] = []
-        self._lock = threading.RLock()
+        self._client = OneClient("RMI double")
 
     def start(self) -> int:
         """Listen; return the port for ``FRC_Connect``."""
-        first = socket.create_server(("127.0.0.1", self._port))
-        session = socket.create_server(("127.0.0.1", self._session_port))
-        self._port, self._session_port = first.getsockname()[1], session.getsockname()[1]
-        self._listeners = [first, session]
-        self._spawn(self._welcome, first)
-        self._spawn(self._accept, session)
-        return int(self._port)
+        self._session_port = self._client.listen(self._session_port, lambda one: self._client.take(one, self._serve))
+        return self._client.listen(self._port, self._welcome)
 
     def close(self) -> None:
         """Close everything and wait for the threads."""
-        with self._lock:
-            listeners, self._listeners = self._listeners, []
-        for listener in listeners:
-            with contextlib.suppress(OSError):  # not connected: shutdown only wakes the accept
-                listener.shutdown(socket.SHUT_RDWR)
-            listener.close()
         for filler in self._fillers:
             filler.close()
-        self.cut()
-        for thread in self._threads:
-            thread.join()
-        self._threads.clear()
+        self._client.close()
 
     @property
     def in_session(self) -> bool:
         """Whether a client has the session; all that it had sent is read when this turns false."""
-        with self._lock:
-            return self._connection is not None
+        return self._client.serving
 
     def cut(self) -> None:
         """Close the session's connection at once, as a pulled cable that is plugged in again would."""
-        with self._lock:
-            connection, self._connection = self._connection, None
-        if connection is not None:
-            with contextlib.suppress(OSError):  # the client may have closed it already
-                connection.shutdown(socket.SHUT_RDWR)
+        self._client.cut()
 
     def send(self, packet: dict[str, Any]) -> None:
         """Send a packet to whoever holds the session; to nobody where there is none."""
@@ -135,41 +114,27 @@ class RmiServer:
             RmiFault.DUPLICATE: [line, line],
             RmiFault.BYTE_BY_BYTE: [bytes([byte]) for byte in line],
         }.get(fault, [line])
-        with self._lock, contextlib.suppress(OSError):  # a client that has gone hears nothing
-            if self._connection is not None:
-                for piece in pieces:
-                    self._connection.sendall(piece)
+        with self._client.lock:  # no other packet between two pieces
+            for piece in pieces:
+                self._client.send(piece)
         if fault in {RmiFault.CUT, RmiFault.HALF_PACKET}:
             self.cut()
 
     def send_raw(self, data: bytes) -> None:
         """Send any bytes to whoever holds the session."""
-        with self._lock, contextlib.suppress(OSError):  # a client that has gone hears nothing
-            if self._connection is not None:
-                self._connection.sendall(data)
+        self._client.send(data)
 
-    def _spawn(self, target: object, argument: socket.socket) -> None:
-        thread = threading.Thread(target=target, args=(argument,), name="RMI double", daemon=True)  # type: ignore[arg-type]
-        self._threads.append(thread)
-        thread.start()
-
-    def _welcome(self, listener: socket.socket) -> None:
+    def _welcome(self, connection: socket.socket) -> None:
         """Answer ``FRC_Connect`` on the first port, and close it."""
-        while True:
-            try:
-                connection, _ = listener.accept()
-            except OSError:  # the listener was closed
-                return
-            with connection, contextlib.suppress(OSError, ValueError, RecursionError):  # whoever sends no line
-                line = connection.makefile("rb").readline(_LONGEST_LINE)
-                packet = json.loads(line)
-                asked = isinstance(packet, dict) and next(iter(packet.items()), None)
-                if asked == ("Communication", "FRC_Connect") and self.fault is not RmiFault.DEAF:
-                    connection.sendall(json.dumps(self._reply_to_connect()).encode() + b"\r\n")
+        with connection, contextlib.suppress(OSError, ValueError, RecursionError):  # whoever sends no line
+            line = connection.makefile("rb").readline(_LONGEST_LINE)
+            packet = json.loads(line)
+            asked = isinstance(packet, dict) and next(iter(packet.items()), None)
+            if asked == ("Communication", "FRC_Connect") and self.fault is not RmiFault.DEAF:
+                connection.sendall(json.dumps(self._reply_to_connect()).encode() + b"\r\n")
 
     def _reply_to_connect(self) -> dict[str, Any]:
-        with self._lock:
-            held = self._connection is not None and not _ended(self._connection)
+        held = self._client.connected
         if held and self.refuses_second:
             return {"Communication": "FRC_Connect", "ErrorID": _ALREADY_CONNECTED}
         major, minor = self._device.version()
@@ -192,33 +157,13 @@ class RmiServer:
         self._fillers += [filler, full]
         return int(full.getsockname()[1])
 
-    def _accept(self, listener: socket.socket) -> None:
-        while True:
-            try:
-                connection, _ = listener.accept()
-            except OSError:  # the listener was closed
-                return
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            with self._lock:
-                taken = not self._listeners or (self._connection is not None and not _ended(self._connection))
-                if not taken:
-                    self._connection = connection
-            if taken:
-                connection.close()
-            else:
-                self._spawn(self._serve, connection)
-
     def _serve(self, connection: socket.socket) -> None:
         rest = b""
-        with connection, contextlib.suppress(OSError):  # a connection that is cut ends its thread
-            while (piece := connection.recv(_PIECE)) and len(rest) <= _LONGEST_LINE:
-                *lines, rest = (rest + piece).split(b"\r\n")
-                for line in lines:
-                    with self._time.hold():
-                        self._hand_over(line)
-        with self._lock:
-            if self._connection is connection:
-                self._connection = None
+        while (piece := connection.recv(_PIECE)) and len(rest) <= _LONGEST_LINE:
+            *lines, rest = (rest + piece).split(b"\r\n")
+            for line in lines:
+                with self._time.hold():
+                    self._hand_over(line)
 
     def _hand_over(self, line: bytes) -> None:
         try:
@@ -232,13 +177,3 @@ class RmiServer:
         if self.fault is RmiFault.DEAF and self.fault_at in {None, name}:
             return
         self._device.take(packet)
-
-
-def _ended(connection: socket.socket) -> bool:
-    """Return whether the client has closed a connection, though its thread may not have noticed yet."""
-    try:
-        return connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
