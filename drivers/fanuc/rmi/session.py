@@ -211,9 +211,9 @@ class RmiSession:
             if not answered.done():
                 _fail(answered, error)
 
-        wire = LineWire(take, end)
+        wire = LineWire(self._host, self._port, self._timeout_s, take, end)
         try:
-            await wire.connect(self._host, self._port, self._timeout_s)
+            await wire.connect()
         except NotConnectedError as error:
             if error.alarm is not Alarm.CONNECTION_REFUSED:
                 raise
@@ -236,9 +236,9 @@ class RmiSession:
         """Connect to the session's own port, which the controller may open a moment late."""
         knocks = 1
         while True:
-            wire = LineWire(self._take, self.give_up)
+            wire = LineWire(self._host, port, self._timeout_s, self._take, self.give_up)
             try:
-                await wire.connect(self._host, port, self._timeout_s)
+                await wire.connect()
             except NotConnectedError as error:
                 if error.alarm is Alarm.CONNECTION_TIMEOUT:
                     raise NotConnectedError(
