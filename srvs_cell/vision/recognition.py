@@ -29,12 +29,14 @@ from srvs_cell.vision.recovery import (
     stable_regions,
     unmatched_planes,
 )
-from srvs_cell.vision.tops import Top, add_tops, explainer, one_per_place, owner_of
+from srvs_cell.vision.tops import Top, add_tops, explainer, one_per_place, outline_px, owner_of
 from srvs_cell.vision.verification import verify_tops
 from srvs_cell.vision.workpieces import make_workpiece, measure_face, unrecognised
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import NDArray
 
     from srvs_cell.calibration import TableReference
     from srvs_cell.geometry import Array
@@ -115,11 +117,16 @@ def recognise(
     matched = tuple(surfaces)
     tops: list[Top] = []
     spans = ((table_z_mm, table_z_mm + limits.max_height_mm), (limits.min_size_mm, limits.max_size_mm))
-    leftover = add_tops(matched, tops, fields, rig, table_z_mm, limits)
+    known = explainer(tops, rig, table_z_mm, relief)
+    if known is not None:
+        add_tops([one for one in matched if not known(outline_px(one, rig))], tops, fields, rig, table_z_mm, limits)
     if limits.recover:
         planes = unmatched_planes(left, {surface.id for surface in matched})
         for find in (partial(_unknown_planes, planes), partial(stable_regions, left.grey)):
-            found = find_places(find(explainer(tops, rig)), left.grey, right.grey, rig, *spans)
+            known = explainer(tops, rig, table_z_mm, relief)
+            if known is None:
+                break
+            found = find_places(find(known), left.grey, right.grey, rig, *spans)
             add_tops(found, tops, fields, rig, table_z_mm, limits)
     unseen: list[Array] = []
     if relief is None:
@@ -127,7 +134,10 @@ def recognise(
     else:
         tops, unseen = verify_tops(tops, relief, (left, right), fields, rig, table_z_mm, limits)
     unknown: list[Surface] = []
-    for surface in leftover:
+    owned = {number for top in tops for number in top.surfaces}
+    for surface in matched:
+        if surface.id in owned:
+            continue
         owner = owner_of(surface, tops, rig, table_z_mm)
         if owner is not None:
             tops[owner] = tops[owner].joined(surface)
@@ -144,8 +154,8 @@ def recognise(
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
 
 
-def _unknown_planes(planes: list[Region], known: Callable[[tuple[float, float]], bool]) -> list[Region]:
-    return [region for region in planes if not known(region.centre_px)]
+def _unknown_planes(planes: list[Region], known: Callable[[NDArray[np.float32]], bool]) -> list[Region]:
+    return [region for region in planes if not known(region.outline_px)]
 
 
 def _plan_area_mm2(surface: Surface) -> float:

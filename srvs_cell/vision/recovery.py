@@ -66,6 +66,13 @@ class Region:
     mask: NDArray[np.bool_]
     corner_px: tuple[int, int]
 
+    @property
+    def outline_px(self) -> NDArray[np.float32]:
+        """Convex hull in the image, shape (N, 2)."""
+        contours, _ = cv2.findContours(self.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        hull = cv2.convexHull(np.concatenate(contours)).reshape(-1, 2)
+        return np.asarray(hull + np.array(self.corner_px), dtype=np.float32)
+
     @cached_property
     def centre_px(self) -> tuple[float, float]:
         """Mean pixel position."""
@@ -83,12 +90,12 @@ def unmatched_planes(left: PlaneImage, matched: Collection[int]) -> list[Region]
     return regions
 
 
-def stable_regions(grey: NDArray[np.uint8], known: Callable[[tuple[float, float]], bool]) -> list[Region]:
+def stable_regions(grey: NDArray[np.uint8], known: Callable[[NDArray[np.float32]], bool]) -> list[Region]:
     """Return maximally stable regions that are solid enough for a face, large before small, each kind once.
 
     Args:
         grey: the image.
-        known: whether a region with this centre needs no look.
+        known: whether a region with this outline needs no look.
 
     They are taken from the logarithm of the grey values: a dark face on a dark table has the same contrast then as a
     bright one on a bright table.
@@ -108,10 +115,11 @@ def stable_regions(grey: NDArray[np.uint8], known: Callable[[tuple[float, float]
     points_of = [np.asarray(points, dtype=np.int32) for points in pixels]
     regions: list[Region] = []
     for points, (x, y, width, height) in sorted(zip(points_of, boxes, strict=True), key=lambda one: -len(one[0])):
-        x_px, y_px = points.mean(axis=0)
-        if len(points) < _MIN_BOX_SHARE * width * height or known((float(x_px), float(y_px))):
+        if len(points) < _MIN_BOX_SHARE * width * height:
             continue
         hull = cv2.convexHull(points)
+        if known(hull.reshape(-1, 2).astype(np.float32)):
+            continue
         if len(points) < _MIN_SOLIDITY * (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, closed=True)):
             continue
         mask = np.zeros((height, width), dtype=np.bool_)

@@ -135,6 +135,24 @@ def _vignetting(left: NDArray[np.float32], difference: NDArray[np.float32], vali
     return np.asarray(smooth * left, dtype=np.float32)
 
 
+def unexplained(relief: Relief, explained: Iterable[Array]) -> NDArray[np.uint8]:
+    """Return where something rises, one pixel grown, outside of polygons of the left image: 1, else 0."""
+    rising = relief.rises.astype(np.uint8)
+    for polygon in explained:
+        cv2.fillPoly(rising, [np.rint(polygon).astype(np.int32)], 0)
+    return np.asarray(cv2.dilate(rising, np.ones((3, 3), np.uint8)), dtype=np.uint8)
+
+
+def rising_share(rising: NDArray[np.uint8], outline: NDArray[np.float32]) -> float:
+    """Return how much of an outline, shape (N, 2), lies where something rises."""
+    corners = np.rint(outline).astype(np.int32)
+    corner = np.maximum(corners.min(axis=0), 0)
+    window = rising[corner[1] : corners[:, 1].max() + 1, corner[0] : corners[:, 0].max() + 1]
+    line = np.zeros(window.shape, dtype=np.uint8)
+    cv2.polylines(line, [corners - corner], isClosed=True, color=1)
+    return float(window[line > 0].mean()) if line.any() else 0.0
+
+
 def risen(relief: Relief, explained: Iterable[Array]) -> list[int]:
     """Return how many rising pixels each polygon of the left image explains that none before it does."""
     left = relief.rises.astype(np.uint8)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from srvs_cell.vision.recovery import NO_PLANE
+from srvs_cell.vision.relief import rising_outlines, rising_share, unexplained
 from srvs_cell.vision.top_faces import SURE_RMS_PX, fit_tops, height_above_mm, tilt_deg
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from srvs_cell.vision.face_fit import EdgeField, FaceFit
     from srvs_cell.vision.recognition import RecognitionParameters
     from srvs_cell.vision.rectification import RectifiedRig
+    from srvs_cell.vision.relief import Relief
 
 CERTAIN_RMS_PX = 0.15
 """A figure that fits like this leaves nothing for another one to explain."""
@@ -37,6 +39,8 @@ _STEEP_TILT_DEG = 30.0
 _STEEP_SHARE = 0.15
 """A steep surface that only touches a part is its side face with shadow."""
 _TOP_MARGIN_MM = 5.0
+_LEAST_RISING = 0.3
+"""Share of a face's outline that rises at least: all but the sides along the base line."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -64,10 +68,10 @@ def add_tops(
     rig: RectifiedRig,
     table_z_mm: float,
     limits: RecognitionParameters,
-) -> list[Surface]:
-    """Add the top faces among surfaces to those known, the surest and largest first; returns the other surfaces."""
-    fitted = list(zip(surfaces, fit_tops(surfaces, fields, rig, table_z_mm, limits), strict=True))
-    found = [(surface, fit) for surface, fit in fitted if fit is not None]
+) -> None:
+    """Add the top faces among surfaces to those known, the surest and largest first."""
+    fits = fit_tops(surfaces, fields, rig, table_z_mm, limits)
+    found = [(surface, fit) for surface, fit in zip(surfaces, fits, strict=True) if fit is not None]
     found.sort(key=lambda one: _rank(one[1]))
     for surface, fit in found:
         owner = _column(fit.face.corners_mm(), min(surface.centre_mm[2], fit.face.z_mm), tops)
@@ -75,7 +79,6 @@ def add_tops(
             tops.append(Top(fit, ()).joined(surface))
         else:
             tops[owner] = tops[owner].joined(surface)
-    return [surface for surface, fit in fitted if fit is None]
 
 
 def one_per_place(tops: list[Top]) -> list[Top]:
@@ -179,16 +182,30 @@ def _feet(corners_mm: Array, table_z_mm: float) -> Array:
     return feet
 
 
-def explainer(tops: list[Top], rig: RectifiedRig) -> Callable[[tuple[float, float]], bool]:
-    """Return whether a pixel of the left image lies on a surely known top face, as a function of it."""
-    polygons = []
-    for top in tops:
-        if top.fit.rms_px > SURE_RMS_PX:
-            continue
-        x, y, _ = rig.project_px(top.fit.face.corners_mm())
-        polygons.append(np.column_stack([x, y]).astype(np.float32))
+def outline_px(surface: Surface, rig: RectifiedRig) -> NDArray[np.float32]:
+    """Return the outline of a surface in the left image, shape (N, 2)."""
+    return _pictures(surface.outline_mm, rig)[0]
 
-    def known(pixel: tuple[float, float]) -> bool:
-        return any(cv2.pointPolygonTest(polygon, pixel, measureDist=False) > 0 for polygon in polygons)
+
+def explainer(
+    tops: list[Top], rig: RectifiedRig, table_z_mm: float, relief: Relief | None
+) -> Callable[[NDArray[np.float32]], bool] | None:
+    """Return whether what is inside an outline of the left image, float32, shape (N, 2), needs no look, as a function.
+
+    With a relief: whether next to nothing of the outline rises that surely known tops do not explain; None where they
+    explain all that rises. Without: whether its middle lies on one of them.
+    """
+    sure = [top for top in tops if top.fit.rms_px <= SURE_RMS_PX]
+    if relief is not None:
+        explained = explained_polygons(sure, rig, table_z_mm)
+        if not rising_outlines(relief, explained):
+            return None
+        rising = unexplained(relief, explained)
+        return lambda outline: rising_share(rising, outline) < _LEAST_RISING
+    polygons = [_pictures(top.fit.face.corners_mm(), rig)[0] for top in sure]
+
+    def known(outline: NDArray[np.float32]) -> bool:
+        x, y = outline.mean(axis=0)
+        return any(cv2.pointPolygonTest(polygon, (float(x), float(y)), measureDist=False) > 0 for polygon in polygons)
 
     return known
