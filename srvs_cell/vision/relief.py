@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 _UP = np.array([0.0, 0.0, 1.0])
 _SMOOTHING_PX = 1.0
+_SPARSE = 3
+"""Every so many pixels are enough for a median of the whole picture."""
+_MAD = 1.4826
 _STRIDE = 8
 """Every so many pixels are enough for what the lens does to the whole picture."""
 _DEGREE = 3
@@ -36,6 +39,8 @@ _CALM_ROUNDS = 4
 _LEAST_CALM = 0.05
 """Where less of the picture is calm, what the lens does is not known."""
 _LEAST_SPREAD = 0.05
+_RIDGE = 1.0
+"""Squared grey values: next to nothing, but where all is black no share is told."""
 _BORDER_PX = 9
 _WINDOW_PX = 5
 _NOISE_FACTOR = 4.5
@@ -102,7 +107,8 @@ def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableRefer
     raw = np.asarray(left - laid, dtype=np.float32)
     lens = _vignetting(np.asarray(left, dtype=np.float32), raw, valid)
     difference = np.asarray(np.where(valid, raw - lens, 0.0), dtype=np.float32)
-    noise = max(1.4826 * float(np.median(np.abs(difference[valid]))), 0.05) if valid.any() else 1.0
+    sampled = np.abs(difference[::_SPARSE, ::_SPARSE][valid[::_SPARSE, ::_SPARSE]])
+    noise = max(_MAD * float(np.median(sampled)), _LEAST_SPREAD) if sampled.size else 1.0
     slopes = [np.square(cv2.Sobel(left, cv2.CV_32F, *order, ksize=3) / _SOBEL) for order in ((1, 0), (0, 1))]
     steep: NDArray[np.float32] = np.asarray(slopes[0] + slopes[1], dtype=np.float32)
     near = (_WINDOW_PX, _WINDOW_PX)
@@ -127,8 +133,9 @@ def _vignetting(left: NDArray[np.float32], difference: NDArray[np.float32], vali
     for _ in range(_CALM_ROUNDS):
         if np.count_nonzero(used) <= _LEAST_CALM * used.size:
             break
-        by_place = places[used] * grey[used][:, None]
-        share = places @ np.linalg.lstsq(by_place, seen[used], rcond=None)[0]
+        by_place = np.asarray(places[used] * grey[used][:, None], dtype=np.float64)
+        normal = by_place.T @ by_place + _RIDGE * np.eye(len(powers))
+        share = places @ np.linalg.solve(normal, by_place.T @ seen[used])
         misfit = np.abs(seen - share * grey)
         used = there & (misfit <= _CALM * max(float(np.median(misfit[used])), _LEAST_SPREAD))
     smooth = cv2.resize(share.astype(np.float32), (left.shape[1], left.shape[0]), interpolation=cv2.INTER_LINEAR)

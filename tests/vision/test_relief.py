@@ -10,8 +10,8 @@ import pytest
 
 from srvs_cell.vision.face_fit import FaceFit
 from srvs_cell.vision.rectification import RectifiedPair
-from srvs_cell.vision.relief import Relief, measure_relief, risen, rising_outlines
-from srvs_cell.vision.tops import Top, explained_polygons
+from srvs_cell.vision.relief import Relief, measure_relief, risen, rising_outlines, rising_share
+from srvs_cell.vision.tops import Top, explained_polygons, explainer
 from tests.vision.painted import SIZE, TABLE_Z_MM, Part, cuboid, outline_mm, paint, rig
 
 if TYPE_CHECKING:
@@ -131,3 +131,28 @@ def test_what_one_image_did_not_see_does_not_rise() -> None:
     assert not relief.valid[y, x]
     assert risen(relief, [around(BOX, 25.0)]) == [0]
     assert risen(measure_relief(pair, TABLE_Z_MM, None), [around(BOX, 25.0)])[0] > 300
+
+
+def test_only_what_rises_and_is_not_explained_is_looked_at(both: Relief) -> None:
+    face, shadow = (picture(part).astype(np.float32) for part in (BOX, SHADOW))
+    known = explainer([], rig(), TABLE_Z_MM, both)
+    assert known is not None
+    assert not known(face)
+    assert known(shadow)
+    found = Top(FaceFit(BOX.face, 0.01 * np.eye(3), 0.1, 1.0), ())
+    assert explainer([found], rig(), TABLE_Z_MM, both) is None
+
+
+def test_a_doubtful_face_explains_nothing(both: Relief) -> None:
+    doubtful = Top(FaceFit(BOX.face, 0.01 * np.eye(3), 0.6, 1.0), ())
+    known = explainer([doubtful], rig(), TABLE_Z_MM, both)
+    assert known is not None
+    assert not known(picture(BOX).astype(np.float32))
+
+
+@pytest.mark.parametrize(("left", "share"), [(0.0, 1.0), (10.0, 0.5), (40.0, 0.0), (-15.0, 1.0), (-90.0, 0.0)])
+def test_the_share_of_an_outline_that_rises(left: float, share: float) -> None:
+    rising = np.zeros((40, 60), dtype=np.uint8)
+    rising[:, :20] = 1
+    square = np.array([[left, 5.0], [left + 19.0, 5.0], [left + 19.0, 24.0], [left, 24.0]], dtype=np.float32)
+    assert rising_share(rising, square) == pytest.approx(share, abs=0.03)
