@@ -42,6 +42,8 @@ _BLACK = 4.0
 """Grey value below which contrast is noise: keeps the logarithm from blowing it up."""
 _WHITE = 255.0
 _MIN_SPAN = 1e-3
+_STABLE_SCALE = 2
+"""The image is halved: the region is only a start, its edges are measured afterwards."""
 _STABLE_STEP = 2
 _STABLE_VARIATION = 0.3
 _STABLE_DIVERSITY = 0.15
@@ -100,14 +102,14 @@ def stable_regions(grey: NDArray[np.uint8], known: Callable[[NDArray[np.float32]
     They are taken from the logarithm of the grey values: a dark face on a dark table has the same contrast then as a
     bright one on a bright table.
     """
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_PX)
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_PX)[::_STABLE_SCALE, ::_STABLE_SCALE]
     levels = np.log(smooth + _BLACK)
     span = max(float(np.ptp(levels)), _MIN_SPAN)
     scaled = np.rint((levels - levels.min()) * (_WHITE / span)).astype(np.uint8)
     detector = cv2.MSER.create(
         delta=_STABLE_STEP,
-        min_area=_MIN_AREA_PX,
-        max_area=grey.size // 4,
+        min_area=_MIN_AREA_PX // _STABLE_SCALE**2,
+        max_area=scaled.size // 4,
         max_variation=_STABLE_VARIATION,
         min_diversity=_STABLE_DIVERSITY,
     )
@@ -118,13 +120,14 @@ def stable_regions(grey: NDArray[np.uint8], known: Callable[[NDArray[np.float32]
         if len(points) < _MIN_BOX_SHARE * width * height:
             continue
         hull = cv2.convexHull(points)
-        if known(hull.reshape(-1, 2).astype(np.float32)):
+        if known(_STABLE_SCALE * hull.reshape(-1, 2).astype(np.float32)):
             continue
         if len(points) < _MIN_SOLIDITY * (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, closed=True)):
             continue
         mask = np.zeros((height, width), dtype=np.bool_)
         mask[points[:, 1] - y, points[:, 0] - x] = True
-        region = Region(NO_PLANE, mask, (int(x), int(y)))
+        whole = mask.repeat(_STABLE_SCALE, axis=0).repeat(_STABLE_SCALE, axis=1)
+        region = Region(NO_PLANE, whole, (_STABLE_SCALE * int(x), _STABLE_SCALE * int(y)))
         if not any(_same(region, other) for other in regions):
             regions.append(region)
     return regions

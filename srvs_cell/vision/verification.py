@@ -36,6 +36,8 @@ _SEAM_PX = 1.5
 _UNSEEN_PX = 200
 """So many pixels of relief that no face explains are a part that was not recognised."""
 _ROUNDS = 2
+_FOR_BLUR = 3
+"""So many well known faces tell the blur of the picture."""
 
 
 def verify_tops(
@@ -63,9 +65,9 @@ def verify_tops(
         left image, each of shape (N, 2).
     """
     left, right = images
-    sure = [top.fit.face for top in tops if top.fit.rms_px < CERTAIN_RMS_PX]
+    sure = sorted((top.fit for top in tops if top.fit.rms_px < CERTAIN_RMS_PX), key=lambda fit: fit.rms_px)
     pictures = Pictures.of(left.grey, right.grey)
-    pictures = replace(pictures, blur_px=measure_blur(sure, pictures, rig, table_z_mm))
+    pictures = replace(pictures, blur_px=measure_blur([fit.face for fit in sure[:_FOR_BLUR]], pictures, rig, table_z_mm))
     bench = Bench(pictures, fields, rig, table_z_mm, limits.min_gradient, lambda fit: is_top(fit, table_z_mm, limits))
     seen = [
         (top, both)
