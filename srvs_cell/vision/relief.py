@@ -133,9 +133,9 @@ def _vignetting(left: NDArray[np.float32], difference: NDArray[np.float32], vali
     for _ in range(_CALM_ROUNDS):
         if np.count_nonzero(used) <= _LEAST_CALM * used.size:
             break
-        by_place: Array = places[used] * grey[used][:, None]
-        normal: Array = by_place.T @ by_place + np.eye(len(powers)) * _RIDGE
-        share = places @ np.linalg.solve(normal, by_place.T @ seen[used])
+        by_place = places[used] * grey[used][:, None]
+        normal = by_place.T @ by_place + _RIDGE * np.eye(len(powers))
+        share = np.asarray(places @ np.linalg.solve(normal, by_place.T @ seen[used]), dtype=np.float64)
         misfit = np.abs(seen - share * grey)
         used = there & (misfit <= _CALM * max(float(np.median(misfit[used])), _LEAST_SPREAD))
     smooth = cv2.resize(share.astype(np.float32), (left.shape[1], left.shape[0]), interpolation=cv2.INTER_LINEAR)

@@ -65,9 +65,10 @@ def verify_tops(
         left image, each of shape (N, 2).
     """
     left, right = images
-    sure = sorted((top.fit for top in tops if top.fit.rms_px < CERTAIN_RMS_PX), key=lambda fit: fit.rms_px)
+    surest = sorted((top.fit for top in tops if top.fit.rms_px < CERTAIN_RMS_PX), key=lambda fit: fit.rms_px)
+    sharp = [fit.face for fit in surest[:_FOR_BLUR]]
     pictures = Pictures.of(left.grey, right.grey)
-    pictures = replace(pictures, blur_px=measure_blur([fit.face for fit in sure[:_FOR_BLUR]], pictures, rig, table_z_mm))
+    pictures = replace(pictures, blur_px=measure_blur(sharp, pictures, rig, table_z_mm))
     bench = Bench(pictures, fields, rig, table_z_mm, limits.min_gradient, lambda fit: is_top(fit, table_z_mm, limits))
     seen = [
         (top, both)
