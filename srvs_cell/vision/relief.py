@@ -123,7 +123,8 @@ def _vignetting(left: NDArray[np.float32], difference: NDArray[np.float32], vali
 
     A share of the grey value that is a cubic polynomial of the place, fitted to what is no part: there it fails.
     """
-    grey, seen, there = (np.ascontiguousarray(part[::_STRIDE, ::_STRIDE]) for part in (left, difference, valid))
+    grey, seen = (np.asarray(part[::_STRIDE, ::_STRIDE], dtype=np.float64) for part in (left, difference))
+    there = valid[::_STRIDE, ::_STRIDE]
     rows, columns = grey.shape
     x, y = np.meshgrid(np.linspace(-1.0, 1.0, columns), np.linspace(-1.0, 1.0, rows))
     powers = [x**i * y**j for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
@@ -135,7 +136,7 @@ def _vignetting(left: NDArray[np.float32], difference: NDArray[np.float32], vali
             break
         by_place = places[used] * grey[used][:, None]
         normal = by_place.T @ by_place + _RIDGE * np.eye(len(powers))
-        share = np.asarray(places @ np.linalg.solve(normal, by_place.T @ seen[used]), dtype=np.float64)
+        share = places @ np.linalg.solve(normal, by_place.T @ seen[used])
         misfit = np.abs(seen - share * grey)
         used = there & (misfit <= _CALM * max(float(np.median(misfit[used])), _LEAST_SPREAD))
     smooth = cv2.resize(share.astype(np.float32), (left.shape[1], left.shape[0]), interpolation=cv2.INTER_LINEAR)
