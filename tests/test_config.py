@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from pydantic import BaseModel
@@ -20,6 +23,8 @@ from srvs_cell.config import (
     load_driver,
     parse_config,
 )
+from srvs_cell.geometry import Transform, Xyzwpr
+from srvs_cell.planning.arm import ArmReach
 from srvs_cell.ports import DriverSpec
 
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -52,6 +57,22 @@ def test_the_configurations_that_are_shipped_are_valid(name: str) -> None:
     config = load_config(CONFIGS / name)
     assert config.simulation is (name == "cell.sim.yaml")
     assert config.calibration == CONFIGS.resolve() / "calibration.yaml"
+
+
+@pytest.mark.parametrize(
+    "name", sorted(path.name for path in CONFIGS.glob("cell.*.yaml") if path.name != "cell.sim.yaml")
+)
+def test_the_arm_of_a_shipped_configuration_reaches_its_workspace(name: str) -> None:
+    """It is an LR Mate 200iD: 717 mm from axis 1 to the wrist, stretched out, as FANUC has it on its data sheet."""
+    config = load_config(CONFIGS / name)
+    arm, look, box = config.planning.arm, config.cell.look.observe_pose, config.cell.workspace
+    assert arm is not None
+    assert config.planning.fingers.length_mm is not None
+    assert arm.a1_mm + arm.c2_mm + math.hypot(arm.c3_mm, arm.a2_mm) == pytest.approx(717.0, abs=0.5)
+    reach = ArmReach(arm, Xyzwpr(*look.xyz_mm, *look.wpr_deg))
+    corners = [look.xyz_mm, *itertools.product(box.x_mm, box.y_mm, box.z_mm)]
+    poses = [Transform.from_xyzwpr("base", "tcp", Xyzwpr(*corner, *look.wpr_deg)).matrix for corner in corners]
+    assert reach.within(np.array(poses)).all()
 
 
 def test_what_is_shown_is_the_same_configuration_again() -> None:
