@@ -54,7 +54,7 @@ def judge(status: RobotStatus, conditions: Conditions) -> list[Finding]:
         _pendant(status),
         _mode(status, conditions),
         _servo(status),
-        *_single_step(status, conditions),
+        *_single_step(conditions),
         *_remote(status, conditions),
         _override(status),
         _pose(status, conditions),
@@ -99,8 +99,7 @@ def _servo(status: RobotStatus) -> Finding:
     )
 
 
-def _single_step(status: RobotStatus, conditions: Conditions) -> list[Finding]:
-    del status
+def _single_step(conditions: Conditions) -> list[Finding]:
     if conditions.single_step is None:
         return []
     if not conditions.single_step:

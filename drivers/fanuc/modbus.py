@@ -166,9 +166,7 @@ class FanucModbusArm:
             with contextlib.suppress(asyncio.CancelledError):  # it was cancelled one line above
                 await self._heartbeat
             self._heartbeat = None
-        await asyncio.sleep(
-            0
-        )  # the socket is closed in the loop's next turn; the controller takes one client at a time
+        await asyncio.sleep(0)  # the socket is closed in the loop's next turn; the controller takes one client
         self._lifecycle = Lifecycle.DISCONNECTED
 
     async def status(self) -> RobotStatus:

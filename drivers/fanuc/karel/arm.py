@@ -123,11 +123,6 @@ class FanucKarelArm:
         self._require_connected()
         return judgement.robot_status(await self._read(), self._clock.now_s())
 
-    async def joints_deg(self) -> tuple[float, ...]:
-        """Read J1 to J6, as the controller counts them."""
-        self._require_connected()
-        return messages.read_joints(await self._session.read("JNTS"))
-
     async def move_linear(self, target: Xyzwpr, speed_mm_s: float) -> Xyzwpr:
         """Move in a straight line to base_T_tcp at mm/s; errors as in `srvs_cell.ports.RobotArm`."""
         return await self._move("MOVL", target, speed_mm_s, speed_mm_s)

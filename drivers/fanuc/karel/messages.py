@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from drivers.fanuc.karel.lines import Reply
 
 MICRO: Final = 1000
-_JOINTS: Final = 6
 _UOP_WORD: Final = 255
 _FACILITY_STEP: Final = 1000
 _MODES: Final = {1: RobotMode.AUTO, 2: RobotMode.T1, 3: RobotMode.T2}
@@ -166,11 +165,6 @@ def read_status(reply: Reply) -> Status:
         alarm=alarm_name(*divmod(alarm, _FACILITY_STEP)),
         pose=Xyzwpr(*(value / MICRO for value in pose)),
     )
-
-
-def read_joints(reply: Reply) -> tuple[float, ...]:
-    """Read a reply to JNTS: J1 to J6 in degrees; raises as `numbers`."""
-    return tuple(value / MICRO for value in numbers("JNTS", reply, _JOINTS))
 
 
 def read_signal(name: str, reply: Reply) -> bool:

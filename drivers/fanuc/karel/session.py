@@ -52,12 +52,10 @@ class LineSession:
 
     Attributes:
         lost: why the conversation ended, where not by `close`.
-        bad_lines: how many lines were none, in all.
     """
 
     def __init__(self, link: Link, timeout_s: float, tries: int) -> None:
         self.lost: PortError | None = None
-        self.bad_lines = 0
         self._link, self._timeout_s, self._tries = link, timeout_s, tries
         self._open = False
         self._buffer = LineBuffer()
@@ -89,7 +87,7 @@ class LineSession:
             NotConnectedError: the carrier cannot be opened, or nobody answers; SESSION_HELD where somebody else has it.
             PortError: PROTOCOL_ERROR, PROTOCOL_VERSION where something else answers.
         """
-        self.lost, self.bad_lines, self._bad_in_a_row = None, 0, []
+        self.lost, self._bad_in_a_row = None, []
         self._buffer = LineBuffer()
         await self._link.open(self._take, self._end)
         self._open = True
@@ -219,7 +217,6 @@ class LineSession:
             )
 
     def _note_bad_line(self, reason: str) -> None:
-        self.bad_lines += 1
         self._bad_in_a_row.append(reason)
         if len(self._bad_in_a_row) >= MOST_BAD_LINES:
             self._end(

@@ -15,7 +15,7 @@ from drivers.fanuc.rmi import judgement, messages
 from drivers.fanuc.rmi.diagnosis import diagnose_rmi, peek_inputs_rmi
 from drivers.fanuc.rmi.errors import NOT_RUNNING, NOTHING_RUNNING, UNKNOWN_COMMAND
 from drivers.fanuc.rmi.messages import Path
-from drivers.fanuc.rmi.session import RefusedError, RmiSession
+from drivers.fanuc.rmi.session import RESET_WITHOUT_INITIALIZE, RefusedError, RmiSession
 from drivers.fanuc.standstill import standstill
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     from drivers.fanuc.rmi.messages import Packet, Place, Status
     from srvs_cell.geometry import Xyzwpr
     from srvs_cell.ports import Clock, Finding
-
-_RESET_WITHOUT_INITIALIZE: Final = 4
-"""Major version from which FRC_Reset works while RMI does not run."""
 
 _FIRST_SEQUENCE: Final = 1
 
@@ -189,11 +186,11 @@ class FanucRmiArm:
         status = await self._read_status()
         if status.rmi_running:
             await self._abort_program(self._config.abort_timeout_s)
-        if self._session.major_version < _RESET_WITHOUT_INITIALIZE:
+        if self._session.major_version < RESET_WITHOUT_INITIALIZE:
             raise NotReadyError(
                 Alarm.ROBOT_FAULT,
                 f"RMI version {self._session.major_version} resets only while RMI runs (from version "
-                f"{_RESET_WITHOUT_INITIALIZE} on always): press RESET on the pendant.",
+                f"{RESET_WITHOUT_INITIALIZE} on always): press RESET on the pendant.",
             )
         deadline_s = self._clock.now_s() + self._config.reset_timeout_s
         try:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from drivers.fanuc.diagnosis import Conditions, judge, not_connected
 from drivers.fanuc.rmi import judgement, messages
 from drivers.fanuc.rmi.errors import NOT_RUNNING, UNKNOWN_COMMAND
-from drivers.fanuc.rmi.session import RefusedError, RmiSession
+from drivers.fanuc.rmi.session import RESET_WITHOUT_INITIALIZE, RefusedError, RmiSession
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import Finding, NotReadyError, PortError, RobotStatus
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from srvs_cell.ports import Clock
 
 _KNOWN_VERSIONS: Final = range(1, 10)
-_RESETS_ALONE: Final = 4
 _ASCII_SWITCH: Final = "$RMI_CFG.$ASBN_ENB"
 _ASCII_OFF: Final = f"Set {_ASCII_SWITCH} to FALSE (MENU, SYSTEM, Variables) and restart the controller."
 _ENDED_BY_DAEMON: Final = "The daemon aborts it when it connects; so does ABORT on the pendant."
@@ -88,7 +87,7 @@ def _version(major: int, minor: int) -> Finding:
         detail = f"{text} is newer than the versions that this driver knows, 1 to {_KNOWN_VERSIONS[-1]}."
         remedy = "Try every step of docs/how-to/connect-fanuc-rmi.md at 10 % override first."
         return Finding.doubtful("version", Alarm.PROTOCOL_VERSION, detail, remedy)
-    if major < _RESETS_ALONE:
+    if major < RESET_WITHOUT_INITIALIZE:
         detail = f"{text} resets faults only while RMI runs."
         return Finding.doubtful("version", Alarm.PROTOCOL_VERSION, detail, "Reset faults on the pendant.")
     return Finding.fine("version", text)

@@ -29,6 +29,9 @@ MOST_IN_FLIGHT: Final = 2
 """Instructions that may wait for their reply. What the controller does with queued ones when the cable is cut is not
 specified; it would take eight."""
 
+RESET_WITHOUT_INITIALIZE: Final = 4
+"""Major version from which FRC_Reset works while RMI does not run."""
+
 _GOODBYE: Final = "FRC_Disconnect"
 _LAST_PORT: Final = 65535
 _KNOCKS: Final = 8

@@ -341,15 +341,6 @@ async def test_a_cancelled_move_is_stopped() -> None:
         assert b.arm.lifecycle is Lifecycle.INACTIVE
 
 
-async def test_joints_are_read() -> None:
-    async with karel_bench() as b:
-        await b.arm.connect()
-        with pytest.raises(NotReadyError, match="code 16"):
-            await b.arm.joints_deg()
-        b.controller.robot.joints = lambda: (1.0, -2.5, 3.0, 4.0, -90.0, 180.0)  # type: ignore[method-assign]
-        assert await b.arm.joints_deg() == (1.0, -2.5, 3.0, 4.0, -90.0, 180.0)
-
-
 # -- the robot's own faults -------------------------------------------------------------------------------------------
 
 
