@@ -19,7 +19,7 @@ from srvs_cell.vision.hypotheses import LEAST_SLOPE, find_surfaces
 from srvs_cell.vision.interpolation import disparity_at
 from srvs_cell.vision.photometric import PhotometricCost
 from srvs_cell.vision.planes import measure_planes
-from srvs_cell.vision.refinement import GreyPair, align_plane
+from srvs_cell.vision.refinement import align_plane
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Array
     from srvs_cell.scene import DisparityPlane
     from srvs_cell.vision.parameters import GroupingParameters, VisionParameters
+    from srvs_cell.vision.refinement import GreyPair
+
+    Mask = NDArray[np.bool_]
 
 _MIN_REGIONS = 2
 _SLIT_PX = 2
@@ -38,7 +41,7 @@ _SAMPLED_PIXELS = 1000
 """A larger region is judged by an even choice of about so many of its pixels."""
 _LATTICE = (49472, 37345)
 """Steps of the two-dimensional low-discrepancy sequence (Roberts 2018), in 65536ths."""
-_LATTICE_MASK = 65535
+_WHOLE = 65535
 _ALL = slice(None)
 _SQUARE = np.ones((3, 3), np.uint8)
 _SOBEL_SCALE = 0.125
@@ -69,6 +72,7 @@ def group_surfaces(
     left: PlaneImage,
     right: PlaneImage,
     matches: Sequence[PlaneMatch],
+    pair: GreyPair,
     parameters: VisionParameters,
     valid: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None),
 ) -> Grouping:
@@ -78,6 +82,7 @@ def group_surfaces(
         left: the left image's planes.
         right: the right image's planes.
         matches: their matches, with disparity planes.
+        pair: the images prepared for the alignment.
         parameters: of the vision.
         valid: pixels that belong to each image; all where None.
 
@@ -85,20 +90,19 @@ def group_surfaces(
         The images and matches with joined planes; the same ones where nothing was to be joined.
     """
     limits = parameters.grouping
-    if not parameters.dense.enabled and not any(
-        _shared(match.disparity_plane, left, matches, limits.max_step_px) for match in matches
-    ):
+    planes = np.array([match.disparity_plane for match in matches]).reshape(-1, 3)
+    shared = _are_shared(planes, left, matches, limits.max_step_px)
+    candidates = matches if parameters.dense.enabled else [matches[k] for k in np.flatnonzero(shared).tolist()]
+    if not candidates:
         return Grouping(left, right, tuple(matches))
-    pair = GreyPair.of(left.grey, right.grey)
     cost = PhotometricCost.of(left.grey, right.grey)
-    found = find_surfaces(left, matches, cost, pair, (limits, parameters.refinement))
-    if not found:
-        return Grouping(left, right, tuple(matches))
-    known = [each for each in found if each.sigma_px <= limits.max_step_px]
-    shared = [each for each in known if _shared(each.plane, left, matches, limits.max_step_px)]
-    surfaces, sigmas_px = [each.plane for each in shared], [each.sigma_px for each in shared]
-    if not surfaces:
-        return Grouping(left, right, tuple(matches), tuple(each.plane for each in found))
+    found = find_surfaces(left, candidates, cost, pair, (limits, parameters.refinement))
+    everything = tuple(each.plane for each in found)
+    shared = _are_shared(np.array(everything).reshape(-1, 3), left, matches, limits.max_step_px)
+    known = [found[k] for k in np.flatnonzero(shared).tolist() if found[k].sigma_px <= limits.max_step_px]
+    if not known:
+        return Grouping(left, right, tuple(matches), everything)
+    surfaces, sigmas_px = [each.plane for each in known], [each.sigma_px for each in known]
     own = np.full((len(left.planes) + 1, 3), np.nan)
     for match in matches:
         own[match.left] = match.disparity_plane
@@ -116,22 +120,23 @@ def group_surfaces(
             # the picture does not tell where these regions lie: they cannot be taken for one surface's
             owner[owner == k] = -1
     joined = _joined(left, right, matches, owner, list(zip(surfaces, sigmas_px, strict=True)), parameters, valid)
-    return replace(joined, surfaces=tuple(each.plane for each in found))
+    return replace(joined, surfaces=everything)
 
 
-def _shared(surface: DisparityPlane, left: PlaneImage, matches: Sequence[PlaneMatch], max_step_px: float) -> bool:
-    """Return whether the disparities of three matched regions lie on a surface, or of two whose boxes touch.
+def _are_shared(surfaces: Array, left: PlaneImage, matches: Sequence[PlaneMatch], max_step_px: float) -> Mask:
+    """Return on which surfaces, (a, b, c), shape (K, 3), two matched regions lie whose boxes touch, shape (K,).
 
-    Two that are apart may do so by chance: the tops of two parts of one height.
+    Regions that are apart may lie on one by chance: the tops of parts of one height.
     """
     regions = [left.planes[match.left - 1] for match in matches]
-    x, y = np.array([region.centre_px for region in regions]).T
+    centre = np.array([region.centre_px for region in regions]).reshape(-1, 2)
+    box = np.array([region.box_px for region in regions]).reshape(-1, 4)
     disparity = np.array([match.disparity_px for match in matches])
-    lying = np.flatnonzero(np.abs(disparity_at(surface, x, y) - disparity) < max_step_px)
-    if lying.size != _MIN_REGIONS:
-        return lying.size > _MIN_REGIONS
-    corner, size = np.array([(regions[k].box_px[:2], regions[k].box_px[2:]) for k in lying]).transpose(1, 0, 2)
-    return bool((np.max(corner, axis=0) <= np.min(corner + size, axis=0) + _SLIT_PX).all())
+    lying = np.abs(surfaces[:, :2] @ centre.T + surfaces[:, 2:] - disparity) < max_step_px
+    corner, end = box[:, :2], box[:, :2] + box[:, 2:] + _SLIT_PX
+    touching = ((corner[:, None] <= end) & (corner <= end[:, None])).all(axis=2)
+    one, other = np.nonzero(np.triu(touching, 1))
+    return np.asarray((lying[:, one] & lying[:, other]).any(axis=1))
 
 
 def assign_regions(
@@ -185,14 +190,13 @@ def sample_regions(
     labels: NDArray[np.int32], count: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Return region, row and column of every region's pixels, of a large region of a part of them, shape (N,)."""
-    pixels = np.flatnonzero(labels)
-    region = labels.ravel()[pixels].astype(np.intp)
-    rows, columns = np.divmod(pixels, labels.shape[1])
-    share = np.minimum(_SAMPLED_PIXELS / np.maximum(np.bincount(region, minlength=count), 1), 1.0)
-    # a lattice of irrational steps leaves pixels out evenly along every direction
-    place = (_LATTICE[0] * columns + _LATTICE[1] * rows) & _LATTICE_MASK
-    kept = np.flatnonzero(place <= (share * _LATTICE_MASK)[region])
-    return region[kept], rows[kept], columns[kept]
+    share = np.minimum(_SAMPLED_PIXELS / np.maximum(np.bincount(labels.ravel(), minlength=count), 1), 1.0)
+    # a lattice of irrational steps, modulo 1, leaves pixels out evenly along every direction
+    across, down = (np.arange(size) * step for size, step in zip(labels.shape[::-1], _LATTICE, strict=True))
+    place = np.add.outer(down.astype(np.uint16), across.astype(np.uint16))
+    kept = np.flatnonzero((place <= (share * _WHOLE).astype(np.uint16)[labels]) & (labels > 0))
+    rows, columns = np.divmod(kept, labels.shape[1])
+    return labels.ravel()[kept].astype(np.intp), rows, columns
 
 
 def _difference(

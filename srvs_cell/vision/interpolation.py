@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srvs_cell.vision.edges import smooth
 from srvs_cell.vision.runs import RowRuns
 
 if TYPE_CHECKING:
@@ -31,7 +30,6 @@ _LEAST_SIGMA_PX = 0.02
 _SAMPLE_SIGMA_PX = 0.5
 """What one row's end is worth before the residuals are known."""
 _MAD_TO_SIGMA = 1.4826
-_SMOOTHING_PX = 1.0
 _LEAST_WEIGHT = 1e-3
 
 
@@ -52,7 +50,7 @@ class RowEnds:
 
 
 def find_row_ends(
-    grey: NDArray[np.uint8],
+    image: NDArray[np.float32],
     labels: NDArray[np.int32],
     count: int,
     parameters: InterpolationParameters,
@@ -61,7 +59,7 @@ def find_row_ends(
     """Find the ends of the rows of every plane.
 
     Args:
-        grey: uint8, shape (H, W).
+        image: smoothed grey values, float32, shape (H, W).
         labels: plane ids, int32, shape (H, W).
         count: the number of planes.
         parameters: whether ends are measured to a part of a pixel.
@@ -78,7 +76,6 @@ def find_row_ends(
     high[:height] = -1
     present = np.flatnonzero(high >= 0)
     row = present % height
-    image = smooth(grey, _SMOOTHING_PX)
     inside = np.zeros((height, width + 2), dtype=np.bool_)
     inside[:, 1:-1] = True if valid is None else valid
     ends = []

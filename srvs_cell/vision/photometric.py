@@ -48,7 +48,8 @@ class PhotometricCost:
     def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> PhotometricCost:
         """Prepare two grey images, uint8, shape (H, W)."""
         one, other = left.astype(np.float32), right.astype(np.float32)
-        return cls(one, _slope(one), np.dstack([*_envelope(other), *_envelope(_slope(other))]))
+        within = cv2.merge([*_envelope(other), *_envelope(_slope(other))])
+        return cls(one, _slope(one), np.asarray(within, dtype=np.float32))
 
     def of_planes(self, planes: Sequence[DisparityPlane], step_px: int = 1) -> Image:
         """Return the cost, 0 to 1, of every ``step_px``-th pixel in every ``step_px``-th row, shape (K, h, w)."""
@@ -84,6 +85,6 @@ def _slope(image: Image) -> Image:
 def _envelope(image: Image) -> tuple[Image, Image]:
     """Return the least and the greatest value within half a pixel along the row."""
     halfway = cv2.filter2D(image, cv2.CV_32F, np.array([[0.5, 0.5, 0.0]]), borderType=cv2.BORDER_REPLICATE)
-    after = cv2.filter2D(image, cv2.CV_32F, np.array([[0.0, 0.5, 0.5]]), borderType=cv2.BORDER_REPLICATE)
+    after = np.hstack([halfway[:, 1:], image[:, -1:]])
     low, high = cv2.min(halfway, after), cv2.max(halfway, after)
     return np.asarray(cv2.min(low, image)), np.asarray(cv2.max(high, image))

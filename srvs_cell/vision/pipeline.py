@@ -27,7 +27,7 @@ from srvs_cell.vision.picture_check import check_different, check_pair, check_pi
 from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.recognition import recognise
 from srvs_cell.vision.rectification import rectify_pair, to_grey
-from srvs_cell.vision.refinement import refine_matches
+from srvs_cell.vision.refinement import GreyPair, refine_matches
 from srvs_cell.vision.region_growing import grow_regions
 from srvs_cell.vision.relief import measure_relief
 from srvs_cell.vision.table_alignment import align_table
@@ -270,24 +270,25 @@ def _match(
     """Match planes and interpolate; returns planes and matches, the dense disparity map and the ambiguous planes."""
     matching = find_matches(left.planes, right.planes, disparity_range_px, parameters.matching)
     steps.done("matching")
+    pair = GreyPair.of(left.grey, right.grey)
     ends = (
-        find_row_ends(left.grey, left.labels, len(left.planes), parameters.interpolation, valid[0]),
-        find_row_ends(right.grey, right.labels, len(right.planes), parameters.interpolation, valid[1]),
+        find_row_ends(pair.left, left.labels, len(left.planes), parameters.interpolation, valid[0]),
+        find_row_ends(pair.right, right.labels, len(right.planes), parameters.interpolation, valid[1]),
     )
     matches = []
-    for pair in matching.pairs:
-        fit = fit_disparity_plane(pair.left, pair.right, *ends, parameters.interpolation)
+    for found in matching.pairs:
+        fit = fit_disparity_plane(found.left, found.right, *ends, parameters.interpolation)
         if fit is not None:
             fitted, sigma = fit
-            at_centre = float(disparity_at(fitted, *left.planes[pair.left - 1].centre_px))
-            matches.append(PlaneMatch(pair.left, pair.right, pair.score, at_centre, fitted, sigma))
+            at_centre = float(disparity_at(fitted, *left.planes[found.left - 1].centre_px))
+            matches.append(PlaneMatch(found.left, found.right, found.score, at_centre, fitted, sigma))
     steps.done("interpolation")
     if parameters.refinement.enabled:
-        matches = refine_matches(left, right, matches, disparity_range_px, parameters.refinement)
+        matches = refine_matches(left, matches, pair, disparity_range_px, parameters.refinement)
         steps.done("refinement")
     grouping = Grouping(left, right, tuple(matches))
     if parameters.grouping.enabled:
-        grouping = group_surfaces(left, right, matches, parameters, valid)
+        grouping = group_surfaces(left, right, matches, pair, parameters, valid)
         steps.done("grouping")
     disparity_px = np.full(left.grey.shape, np.nan, dtype=np.float32)
     for match in grouping.matches:

@@ -7,6 +7,7 @@ the face. Its border is included: the edge of a face moves with the face.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -45,18 +46,18 @@ _RANGE_MARGIN_PX = 1.0
 
 @dataclass(frozen=True, eq=False)
 class GreyPair:
-    """Two smoothed rectified images and the right one's derivative along the rows, each float32, shape (H, W)."""
+    """Two smoothed rectified images and the left one's derivative along the rows, each float32, shape (H, W)."""
 
     left: NDArray[np.float32]
     right: NDArray[np.float32]
-    right_x: NDArray[np.float32]
+    left_x: NDArray[np.float32]
 
     @classmethod
     def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> GreyPair:
         """Prepare two grey images, uint8, shape (H, W)."""
-        smoothed = smooth(right, _SMOOTHING_PX)
+        smoothed = smooth(left, _SMOOTHING_PX)
         slope = cv2.filter2D(smoothed, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], dtype=np.float32))
-        return cls(smooth(left, _SMOOTHING_PX), smoothed, np.asarray(slope, dtype=np.float32))
+        return cls(smoothed, smooth(right, _SMOOTHING_PX), np.asarray(slope, dtype=np.float32))
 
 
 @dataclass(frozen=True)
@@ -78,27 +79,26 @@ class Alignment:
 
 def refine_matches(
     left: PlaneImage,
-    right: PlaneImage,
     matches: Sequence[PlaneMatch],
+    pair: GreyPair,
     disparity_range_px: tuple[float, float],
     parameters: RefinementParameters,
 ) -> list[PlaneMatch]:
     """Align every match; drop those whose grey values disagree or whose disparity is out of range.
 
-    A face without contrast, and one that cannot be aligned, keeps the plane that its borders gave.
+    A face without contrast, and one that cannot be aligned though its grey values agree, keeps the plane that its
+    borders gave.
     """
-    pair = GreyPair.of(left.grey, right.grey)
     low, high = disparity_range_px
     refined = []
     for match in matches:
         plane = left.planes[match.left - 1]
         rows, columns = _with_band(left, plane, parameters.band_px)
         alignment = _best_alignment(pair, rows, columns, match, plane.centre_px, parameters)
+        if alignment is None:
+            alignment = _unaligned(pair, rows, columns, match)
         better = match
-        agrees = alignment is not None and alignment.correlation >= parameters.min_correlation
-        if alignment is not None and not agrees and alignment.contrast > _MIN_CONTRAST:
-            continue
-        if alignment is not None and agrees:
+        if alignment.correlation >= parameters.min_correlation:
             x, y = plane.centre_px
             a, b, c = alignment.plane
             better = replace(
@@ -107,6 +107,8 @@ def refine_matches(
                 disparity_plane=alignment.plane,
                 disparity_sigma_px=alignment.sigma_px,
             )
+        elif alignment.contrast > _MIN_CONTRAST:
+            continue
         if low - _RANGE_MARGIN_PX <= better.disparity_px <= high + _RANGE_MARGIN_PX:
             refined.append(better)
     return refined
@@ -134,6 +136,15 @@ def _best_alignment(
     return max((each for each in (found, again) if each is not None), key=_correlation_of, default=None)
 
 
+def _unaligned(pair: GreyPair, rows: NDArray[np.intp], columns: NDArray[np.intp], match: PlaneMatch) -> Alignment:
+    """Return how well the grey values agree where the plane of the borders puts them."""
+    design = np.stack([columns, rows, np.ones(rows.size)]).astype(np.float32)
+    seen, inside = _Samples.of(pair, rows, columns).at(np.array(match.disparity_plane), design)
+    target = pair.left[rows, columns][inside]
+    contrast = float(target.std()) if target.size else 0.0
+    return Alignment(match.disparity_plane, match.disparity_sigma_px, _correlation(target, seen[inside]), contrast)
+
+
 def _best_level(
     pair: GreyPair, rows: NDArray[np.intp], columns: NDArray[np.intp], middle_px: float, max_shift_px: float
 ) -> float:
@@ -141,8 +152,9 @@ def _best_level(
     stride = max(1, rows.size // _ROUGH_PIXELS)
     rows, columns = rows[::stride], columns[::stride]
     levels = middle_px + np.arange(-max_shift_px, max_shift_px + _LEVEL_STEP_PX, _LEVEL_STEP_PX)
-    seen, _, inside = _Samples.of(pair, rows, columns).at(levels[:, None])
-    target = pair.left[rows, columns].astype(np.float64)
+    level = np.ones((1, rows.size), dtype=np.float32)
+    seen, inside = _Samples.of(pair, rows, columns).at(levels[:, None], level)
+    target = pair.left[rows, columns]
     counted = np.maximum(inside.sum(axis=1, keepdims=True), 1)
     one = (target - (target * inside).sum(axis=1, keepdims=True) / counted) * inside
     other = (seen - (seen * inside).sum(axis=1, keepdims=True) / counted) * inside
@@ -189,56 +201,59 @@ def align_plane(
         The alignment, or None where too few pixels lie in both images, the plane moved too far, or explains the pixels
         no better than it did to begin with.
     """
-    stride = max(1, rows.size // parameters.max_pixels)
-    rows, columns = rows[::stride], columns[::stride]
     if rows.size < _MIN_PIXELS:
         return None
+    stride = math.ceil(rows.size / parameters.max_pixels)
+    rows, columns = rows[::stride], columns[::stride]
     middle_x, middle_y = float(columns.mean()), float(rows.mean())
     a, b, c = start
-    design = np.stack([columns - middle_x, rows - middle_y, np.ones(rows.size)])
+    first_level = a * middle_x + b * middle_y + c
+    design = np.stack([columns - middle_x, rows - middle_y, np.ones(rows.size)]).astype(np.float32)
     samples = _Samples.of(pair, rows, columns)
-    solution = np.array([a, b, a * middle_x + b * middle_y + c, 1.0, 0.0])
-    first_level = solution[2]
+    target, slope = pair.left[rows, columns], pair.left_x[rows, columns]
+    steepness = slope * design
     # without contrast nothing but this holds the plane
     prior = np.diag(
         [(_NOISE_GREY / _SLOPE_SIGMA) ** 2] * 2 + [(_NOISE_GREY / parameters.max_shift_px) ** 2, 1e-3, 1e-3]
     )
     expected = np.array([0.0, 0.0, first_level, 1.0, 0.0])
-    target = pair.left[rows, columns].astype(np.float64)
-    variance, normal, scale = 0.0, prior, _NOISE_GREY
-    seen_first, _, inside_first = samples.at(solution[:3] @ design)
-    jacobian = np.ones((len(solution), rows.size))
+    solution = np.array([a, b, first_level, 1.0, 0.0])
+    jacobian = np.ones((len(solution), rows.size), dtype=np.float32)
+    seen_first, inside_first = seen, inside = samples.at(solution[:3], design)
     for _ in range(parameters.iterations):
-        seen, slope, inside = samples.at(solution[:3] @ design)
         if np.count_nonzero(inside) < _MIN_PIXELS:
             return None
-        residual = (target - (solution[3] * seen + solution[4])) * inside
+        gain, offset = solution[3:].astype(np.float32)
+        residual = (target - (gain * seen + offset)) * inside
         scale = max(_NOISE_GREY, _MAD_TO_SIGMA * _median(np.abs(residual)))
         # in units of the noise: what the surface's roughness makes of a slope adds to it
-        spread = 1.0 + (roughness_px / scale * solution[3] * slope) ** 2
-        weight = np.maximum(1.0 - (residual / (_TUKEY * scale)) ** 2 / spread, 0.0) ** 2 / spread * inside
+        spread = 1.0 + np.square(np.float32(roughness_px / scale) * gain * slope)
+        weight = np.square(np.maximum(1.0 - np.square(residual / np.float32(_TUKEY * scale)) / spread, 0.0))
+        weight *= inside / spread
         # d moves the sample against x: the prediction changes by -gain times the slope
-        np.multiply(-solution[3] * slope, design, out=jacobian[:3])
+        np.multiply(steepness, -gain, out=jacobian[:3])
         jacobian[3] = seen
         weighted = jacobian * weight
         normal = weighted @ jacobian.T + prior
         step = np.linalg.solve(normal, weighted @ residual - prior @ (solution - expected))
         step[:3] *= min(1.0, 1.0 / max(abs(float(step[2])), 1e-9))
         solution = solution + step
-        variance = float(weight @ residual**2 / max(weight.sum(), 1.0))
+        seen, inside = samples.at(solution[:3], design)
         if abs(float(step[2])) < _CONVERGED_PX:
             break
     if abs(solution[2] - first_level) > parameters.max_shift_px or not np.isfinite(solution).all():
         return None
-    sigma = float(np.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * np.linalg.inv(normal)[2, 2]))
-    seen, _, inside = samples.at(solution[:3] @ design)
+    gain, offset = solution[3:].astype(np.float32)
     both = inside & inside_first
-    gain, offset = solution[3:]
-    before = min(
-        _robust_cost(target - seen_first, both, scale), _robust_cost(target - (gain * seen_first + offset), both, scale)
+    units = np.float32(_TUKEY * scale) * np.sqrt(spread)
+    before, same_light, after = (
+        _robust_cost((target - each) / units, both)
+        for each in (seen_first, gain * seen_first + offset, gain * seen + offset)
     )
-    if _robust_cost(target - (gain * seen + offset), both, scale) > before:
+    if after > min(before, same_light):
         return None
+    variance = float(weight @ np.square(residual) / max(weight.sum(), 1.0))
+    sigma = float(np.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * np.linalg.inv(normal)[2, 2]))
     contrast = float(target[inside].std()) if inside.any() else 0.0
     a, b, level = (float(value) for value in solution[:3])
     return Alignment(
@@ -254,53 +269,51 @@ class _Samples:
     """Some pixels of the left image, and the right image where they are looked up.
 
     Attributes:
-        columns: of the pixels, float64, shape (N,).
+        columns: of the pixels, float32, shape (N,).
         row_start: number of their rows' first pixels in the flat right image, shape (N,).
-        right, right_x: the flat right image and its derivative.
-        width: of the image.
+        right: the flat right image.
+        last: the last column that has one after it.
     """
 
-    columns: Array
+    columns: NDArray[np.float32]
     row_start: NDArray[np.intp]
     right: NDArray[np.float32]
-    right_x: NDArray[np.float32]
-    width: int
+    last: np.float32
 
     @classmethod
     def of(cls, pair: GreyPair, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> _Samples:
         width = pair.right.shape[1]
-        return cls(columns.astype(np.float64), rows * width, pair.right.ravel(), pair.right_x.ravel(), width)
+        return cls(columns.astype(np.float32), rows * width, pair.right.ravel(), np.float32(width - 1.001))
 
-    def at(self, disparity_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return the right image and its slope at x - d, linearly interpolated, and which lie in the image."""
-        x = self.columns - disparity_px
-        inside = (x >= 1.0) & (x <= self.width - 2.0)
-        x = np.minimum(np.maximum(x, 1.0), self.width - 2.001)
-        left = x.astype(np.intp)
-        share = x - left
+    def at(self, plane: Array, design: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Return the right image, linearly interpolated, where a plane puts the pixels, and which lie in the image.
+
+        Args:
+            plane: of the disparities, shape (3,), or shape (M, 3).
+            design: what it is multiplied by, shape (3, N).
+        """
+        x = self.columns - plane.astype(np.float32) @ design
+        clipped = np.minimum(np.maximum(x, np.float32(0.0)), self.last)
+        whole = np.floor(clipped)
+        left = whole.astype(np.intp)
         left += self.row_start
-        right = left + 1
-        value, slope = self.right[left], self.right_x[left]
-        return (
-            np.asarray(value + share * (self.right[right] - value), dtype=np.float64),
-            np.asarray(slope + share * (self.right_x[right] - slope), dtype=np.float64),
-            inside,
-        )
+        value = self.right.take(left)
+        return value + (clipped - whole) * (self.right[1:].take(left) - value), clipped == x
 
 
-def _robust_cost(residual: Array, counted: NDArray[np.bool_], scale: float) -> float:
-    """Return the sum of Tukey's bounded costs, each 0 to 1."""
-    inlying = np.maximum(1.0 - (residual / (_TUKEY * scale)) ** 2, 0.0)
-    return float(counted @ (1.0 - inlying**3))
+def _robust_cost(residual: NDArray[np.float32], counted: NDArray[np.bool_]) -> float:
+    """Return the sum of Tukey's bounded costs, each 0 to 1, of residuals in units of where they are bounded."""
+    inlying = np.maximum(1.0 - np.square(residual), 0.0)
+    return float(np.sum(1.0 - inlying * inlying * inlying, where=counted))
 
 
-def _median(values: Array) -> float:
+def _median(values: NDArray[np.float32]) -> float:
     """Return the middle value; of an even number the upper one of the two."""
     middle = values.size // 2
     return float(np.partition(values, middle)[middle])
 
 
-def _correlation(one: Array, other: Array) -> float:
+def _correlation(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
     if one.size < _MIN_PIXELS:
         return 0.0
     one, other = one - one.mean(), other - other.mean()

@@ -32,7 +32,8 @@ _LEVELS_PX = (24.0, 16.0, 11.0, 8.0, 5.0, 3.0, 2.0, 1.0, 0.5)
 _REACHED_BY = np.sum(np.arange(256) >= 2.0 * np.array(_LEVELS_PX)[:, None], axis=0).astype(np.uint8)
 """The number of circles that reach a pixel, by its distance to the nearest edge in half pixels."""
 _CUT_OFF = -0.499
-_OPEN = -1
+_OPEN, _WAITING = -1, -2
+"""Instead of a label: a pixel that may get one, and, from here down, one that gets it in the next step."""
 _MEETING_STEPS = 40
 _EDGE_STEPS = 3
 _NEAR_EDGE = np.ones((3, 3), np.uint8)
@@ -185,25 +186,23 @@ def _grow(labels: NDArray[np.int32], pixels: NDArray[np.intp], steps: int) -> ND
     """
     label, width = labels.ravel(), labels.shape[1]
     beside = np.array([[-width], [-1], [1], [width]])
-    up, left, right, down = (label[pixels + step] for step in beside)
-    front = pixels[(up | left | right | down) > 0]
+    front = pixels[(label.take(pixels + beside) > 0).any(axis=0)]
     if not front.size:
         return pixels
     label[pixels] = _OPEN
-    writer = np.empty(label.size, dtype=np.int32)
+    label[front] = _WAITING
     for _ in range(steps):
         around = front + beside
-        label[front] = 0
-        met = label[around]
+        met = label.take(around)
         label[front] = met.max(axis=0)
         following = around[met == _OPEN]
         if not following.size:
             break
         # a pixel beside several of the front is met several times: the one that wrote its number last stays
-        number = np.arange(following.size, dtype=np.int32)
-        writer[following] = number
-        front = following[writer[following] == number]
-    missed = pixels[label[pixels] == _OPEN]
+        number = np.arange(_WAITING, _WAITING - following.size, -1, dtype=np.int32)
+        label[following] = number
+        front = following[label.take(following) == number]
+    missed = pixels[label.take(pixels) < 0]
     label[missed] = 0
     return np.asarray(missed)
 

@@ -17,6 +17,7 @@ from srvs_cell.vision.hypotheses import choose_planes
 from srvs_cell.vision.labelling import choose_labels
 from srvs_cell.vision.parameters import DenseParameters
 from srvs_cell.vision.photometric import PhotometricCost
+from srvs_cell.vision.refinement import GreyPair
 from srvs_cell.vision.superpixels import cut_superpixels
 
 HEIGHT, WIDTH = 120, 160
@@ -111,7 +112,7 @@ def test_without_matches_there_are_no_surfaces_and_nothing_is_filled() -> None:
     blank = np.full((40, 60), 90, dtype=np.uint8)
     image = PlaneImage(blank, np.zeros((40, 60), dtype=np.int32), ())
     parameters = replace(VisionParameters(), dense=DenseParameters(enabled=True))
-    assert group_surfaces(image, image, [], parameters).surfaces == ()
+    assert group_surfaces(image, image, [], GreyPair.of(image.grey, image.grey), parameters).surfaces == ()
     left, right = blank.copy(), blank.copy()
     left[:, 30:], right[:, :30], right[:, 30:] = 220, 150, 20
     assert np.isnan(perceive(left, right, parameters).disparity_px).all()

@@ -7,11 +7,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray  # noqa: TC002 - read by people and mypy
 
 from srvs_cell.scene import PlaneImage, PlaneMatch
 from srvs_cell.vision.parameters import PlaneParameters, RefinementParameters
 from srvs_cell.vision.planes import measure_planes
-from srvs_cell.vision.refinement import refine_matches
+from srvs_cell.vision.refinement import GreyPair, align_plane, refine_matches
 from tests.vision.pictures import Face, render
 
 TRUE = (0.04, -0.03, 16.37)
@@ -34,6 +35,12 @@ def images(noise: float = 1.5) -> tuple[PlaneImage, PlaneImage]:
     return PlaneImage(pictures[0], labels, planes), PlaneImage(pictures[1], np.zeros_like(labels), ())
 
 
+def refined_by(
+    left: PlaneImage, right: PlaneImage, matches: list[PlaneMatch], range_px: tuple[float, float] = RANGE
+) -> list[PlaneMatch]:
+    return refine_matches(left, matches, GreyPair.of(left.grey, right.grey), range_px, RefinementParameters())
+
+
 def match_of(image: PlaneImage, plane: tuple[float, float, float]) -> PlaneMatch:
     x, y = image.planes[0].centre_px
     return PlaneMatch(1, 1, 0.9, plane[0] * x + plane[1] * y + plane[2], plane, 0.5)
@@ -49,7 +56,7 @@ def match_of(image: PlaneImage, plane: tuple[float, float, float]) -> PlaneMatch
 )
 def test_a_slanted_plane_is_found_to_a_small_part_of_a_pixel(start: tuple[float, float, float]) -> None:
     left, right = images()
-    (refined,) = refine_matches(left, right, [match_of(left, start)], RANGE, RefinementParameters())
+    (refined,) = refined_by(left, right, [match_of(left, start)])
     assert worst_px(start) > 0.5
     assert worst_px(refined.disparity_plane) < 0.06
     x, y = left.planes[0].centre_px
@@ -59,8 +66,24 @@ def test_a_slanted_plane_is_found_to_a_small_part_of_a_pixel(start: tuple[float,
 
 def test_a_right_plane_is_not_left_worse() -> None:
     left, right = images(noise=3.0)
-    (refined,) = refine_matches(left, right, [match_of(left, TRUE)], RANGE, RefinementParameters())
+    (refined,) = refined_by(left, right, [match_of(left, TRUE)])
     assert worst_px(refined.disparity_plane) < 0.06
+
+
+@pytest.mark.parametrize("seed", range(7))
+def test_a_plane_is_left_where_it_was_found_when_another_one_explains_no_more(seed: int) -> None:
+    # half of the face is hidden in the right image: what least squares makes of that pulls the right plane away
+    generator = np.random.default_rng(seed)
+
+    def texture(width: int) -> NDArray[np.uint8]:
+        grain = generator.integers(0, 256, (100, width)).astype(np.uint8)
+        return np.asarray(cv2.GaussianBlur(grain, (0, 0), 2.0), dtype=np.uint8)
+
+    left = texture(160)
+    right = np.roll(left, -6, axis=1)
+    right[:, 40:70] = texture(30)
+    rows, columns = (index.ravel() for index in np.mgrid[20:80, 40:100])
+    assert align_plane(GreyPair.of(left, right), rows, columns, (0.0, 0.0, 6.0), RefinementParameters()) is None
 
 
 def test_a_match_whose_grey_values_disagree_is_dropped() -> None:
@@ -68,19 +91,17 @@ def test_a_match_whose_grey_values_disagree_is_dropped() -> None:
     generator = np.random.default_rng(4)
     other = cv2.GaussianBlur(generator.integers(0, 256, right.grey.shape).astype(np.uint8), (0, 0), 2.0)
     wrong = replace(right, grey=np.asarray(other, dtype=np.uint8))
-    assert refine_matches(left, wrong, [match_of(left, TRUE)], RANGE, RefinementParameters()) == []
+    assert refined_by(left, wrong, [match_of(left, TRUE)]) == []
 
 
 def test_a_face_without_contrast_keeps_the_plane_of_its_borders() -> None:
     left, right = images()
     blank = np.full_like(left.grey, 120)
     match = match_of(left, (0.01, 0.02, 15.0))
-    (kept,) = refine_matches(
-        replace(left, grey=blank), replace(right, grey=blank), [match], RANGE, RefinementParameters()
-    )
+    (kept,) = refined_by(replace(left, grey=blank), replace(right, grey=blank), [match])
     assert np.allclose(kept.disparity_plane, match.disparity_plane, atol=0.02)
 
 
 def test_a_disparity_out_of_range_is_dropped() -> None:
     left, right = images()
-    assert refine_matches(left, right, [match_of(left, TRUE)], (25.0, 30.0), RefinementParameters()) == []
+    assert refined_by(left, right, [match_of(left, TRUE)], (25.0, 30.0)) == []
