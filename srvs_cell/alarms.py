@@ -88,9 +88,10 @@ class Alarm(Enum):
     NOTHING_SEEN = AlarmDefinition(3201, _W, Reaction.SUSPEND, "No workpiece is in view.", "Put parts on the table; the cell looks again by itself.")
     UNKNOWN_OBJECT = AlarmDefinition(3202, _W, Reaction.NONE, "A shape was seen that is in no library.", "Add the kind to the object library, or take the part away.")
     UNCERTAIN_POSITION = AlarmDefinition(3203, _E, Reaction.HOLD, "A position is less certain than the grasp allows.", "Improve lighting or calibration, or widen the grasp tolerance in the config.")
-    VERIFY_FAILED = AlarmDefinition(3204, _E, Reaction.HOLD, "After the relocation the cell does not see every part at its goal.", "Look at the report's pictures; unhold to look again and plan anew.")
-
+    VERIFY_FAILED = AlarmDefinition(3204, _E, Reaction.HOLD, "Parts do not stand where they should after a move, also after new plans.", "The detail names them; look at the report's pictures. Unhold to look again and plan anew.")
     LOOKS_DISAGREE = AlarmDefinition(3205, _E, Reaction.HOLD, "Looks at the same table do not see the same parts.", "Improve lighting or contrast, or separate the parts; unhold to look again.")
+    SCENE_CHANGED = AlarmDefinition(3206, _W, Reaction.NONE, "While the cell worked a part was moved, taken away, added or not put where it belongs.", "None needed: the cell has looked again and planned anew. Keep hands and parts out while it works.")
+    PART_LEFT = AlarmDefinition(3207, _W, Reaction.NONE, "A part cannot be taken and is left where it stands; what was wanted of it is not done.", "The detail says why: take the part away, add its kind to the object library or turn it so that it can be gripped. cell.unmovable_parts says whether the cell goes on without it.")
 
     PLAN_INFEASIBLE = AlarmDefinition(4001, _E, Reaction.HOLD, "No sequence of moves reaches the goal.", "The detail names the reason for each workpiece: make room, free a buffer place or remove the part.")
     PLAN_NOT_PROVEN = AlarmDefinition(4002, _W, Reaction.NONE, "The plan is valid but not proven to be the shortest.", "None needed; the bound is in the detail.")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
+
+from srvs_cell.alarms import Alarm, Severity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from datetime import datetime
-
-    from srvs_cell.alarms import Alarm
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ActiveAlarm:
 
 
 class AlarmList:
-    """Active alarms, one of each kind: the first detail of a kind is its cause and is kept."""
+    """Active alarms, one of each kind: an error's first detail is its cause and stays, a warning's newest is shown."""
 
     def __init__(self, now: Callable[[], datetime]) -> None:
         self._now = now
@@ -44,6 +44,8 @@ class AlarmList:
     def add(self, alarm: Alarm, detail: str) -> bool:
         """Add an alarm; tell whether it is new."""
         if alarm in self._active:
+            if alarm.value.severity is Severity.WARNING:
+                self._active[alarm] = replace(self._active[alarm], detail=detail)
             return False
         self._active[alarm] = ActiveAlarm(alarm, detail, self._now())
         return True

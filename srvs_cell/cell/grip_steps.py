@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.interlocks import check_certainty
@@ -23,7 +23,6 @@ class Deliver:
     """Put a part that was held through a stop where it belongs. New moves, never the interrupted one."""
 
     name: StepName = StepName.DELIVER
-    verifying: ClassVar[bool] = False
 
     async def run(self, job: Job) -> Outcome:
         """Put the held part down."""
@@ -44,7 +43,6 @@ class Pick:
     workpiece: Workpiece
     move: CellMove
     name: StepName = StepName.PICK
-    verifying: ClassVar[bool] = False
 
     async def run(self, job: Job) -> Outcome:
         """Pick; raises GRIP_EMPTY where nothing was there."""
@@ -85,7 +83,6 @@ class Place:
 
     move: CellMove
     name: StepName = StepName.PLACE
-    verifying: ClassVar[bool] = False
 
     async def run(self, job: Job) -> Outcome:
         """Place; raises GRIP_LOST where the part was lost on the way."""

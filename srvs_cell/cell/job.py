@@ -59,21 +59,8 @@ class Step(Protocol):
         """Which step it is."""
         ...
 
-    @property
-    def verifying(self) -> bool:
-        """Whether it belongs to the look after a relocation: starting over then ends in a verification, not a plan."""
-        ...
-
     async def run(self, job: Job) -> Outcome:
         """Do the step; raises `AlarmError` where it cannot be done."""
-        ...
-
-
-class StartOver(Protocol):
-    """Makes the whole queue that starts over from looking."""
-
-    def __call__(self, *, verifying: bool) -> Sequence[Step]:
-        """Return the steps; with a verification at their end, or a plan."""
         ...
 
 
@@ -156,7 +143,8 @@ class Job:
         left, right: the images and poses of the present look.
         early: what was made of the left image while the arm travelled.
         looks: finished looks.
-        corrections: how often misplaced parts were put right.
+        places_mm: the places that the job is about: those that were occupied when it first planned, and of parts that
+            were added since.
         sightings: what each look saw since the last confirmation.
         offsets_mm: how far each workpiece has been carried since it was perceived.
         finish: end at the next moment at which the gripper is empty.
@@ -168,7 +156,7 @@ class Job:
         manipulator: Manipulator,
         steps: Sequence[Step],
         *,
-        start_over: StartOver,
+        start_over: Callable[[], Sequence[Step]],
         run: int,
         folder: Path,
         dry_run: bool,
@@ -185,7 +173,7 @@ class Job:
         self.right: tuple[NDArray[np.uint8], Transform] | None = None
         self.early: Any = None
         self.looks = 0
-        self.corrections = 0
+        self.places_mm: tuple[Point2, ...] = ()
         self.sightings: list[tuple[Workpiece, ...]] = []
         self.offsets_mm: dict[int, Point2] = {}
         self.finish = False
@@ -231,6 +219,11 @@ class Job:
         with self.equipment.devices.clock.working():
             await self.equipment.journal.event(kind, name, run=self.run_number, source="job", detail=detail)
 
+    def forget_failures(self, step: StepName) -> None:
+        """Begin to count anew how often a step has failed: the job has come forward."""
+        for key in [key for key in self._attempts if key[0] is step]:
+            del self._attempts[key]
+
     def changed(self) -> None:
         """Say that the progress has changed."""
         self._on_change()
@@ -272,7 +265,9 @@ class Job:
             if recovery is Recovery.RETRY:
                 self._steps.appendleft(step)
             elif recovery is Recovery.REOBSERVE:
-                self._steps = deque(self._start_over(verifying=step.verifying))
+                # Nothing of the former plan is continued.
+                self._steps = deque(self._start_over())
+                self.progress.plan, self.progress.moves_left = None, 0
             else:
                 return JobEnd(End.FAILED, recovery, error)
             return None

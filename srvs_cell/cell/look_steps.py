@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import plan_right_pose
@@ -26,8 +26,8 @@ _LEVEL_MM = 1.0
 
 
 def look(*, verifying: bool = False) -> list[Step]:
-    """Return the steps of one look along the lateral path."""
-    return [ObserveLeft(verifying), MoveLaterally(verifying), ObserveRight(verifying), Perceive(verifying)]
+    """Return the steps of one look along the lateral path; a verifying one leaves what the plan was made from."""
+    return [ObserveLeft(), MoveLaterally(), ObserveRight(), Perceive(verifying)]
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class Rise:
     """Go straight up to the observe pose's height, from wherever the last command has left the arm."""
 
     name: StepName = StepName.RISE
-    verifying: ClassVar[bool] = False
 
     async def run(self, job: Job) -> Outcome:
         """Rise where the arm is below."""
-        await _rise(job, job.equipment.parameters.look.observe_pose.pose().z_mm)
+        parameters = job.equipment.parameters
+        await _rise(job, parameters.look.observe_pose.pose().z_mm, parameters.motion.approach_speed_mm_s)
         return Outcome()
 
 
@@ -47,7 +47,6 @@ class Rise:
 class ObserveLeft:
     """Take the left image at the observe pose."""
 
-    verifying: bool = False
     name: StepName = StepName.OBSERVE_LEFT
 
     async def run(self, job: Job) -> Outcome:
@@ -58,8 +57,9 @@ class ObserveLeft:
             speed_percent = parameters.motion.joint_speed_percent
             pose = await job.manipulator.move_joint(target, speed_percent, "left end of the lateral path")
         else:
-            await _rise(job, target.z_mm)
+            # In a job the hand is above what stands around it by then.
             speed_mm_s = parameters.motion.travel_speed_mm_s
+            await _rise(job, target.z_mm, speed_mm_s)
             pose = await job.manipulator.move_linear(target, speed_mm_s, "left end of the lateral path")
         job.left = (await _grab(job, f"left_{job.looks}"), Transform.from_xyzwpr("base", "tcp", pose))
         return Outcome({"pose": list(pose.as_tuple())})
@@ -69,7 +69,6 @@ class ObserveLeft:
 class MoveLaterally:
     """Move the camera sideways to the right end of the lateral path, and work on the left image meanwhile."""
 
-    verifying: bool = False
     name: StepName = StepName.MOVE_LATERALLY
 
     async def run(self, job: Job) -> Outcome:
@@ -91,7 +90,6 @@ class MoveLaterally:
 class ObserveRight:
     """Take the right image."""
 
-    verifying: bool = False
     name: StepName = StepName.OBSERVE_RIGHT
 
     async def run(self, job: Job) -> Outcome:
@@ -119,10 +117,10 @@ class Perceive:
         job.looks += 1
         if not perception.workpieces and not self.verifying:
             raise AlarmError(Alarm.NOTHING_SEEN, f"{len(perception.matches)} planes were matched, none is a workpiece.")
-        for workpiece in perception.workpieces:
-            if workpiece.kind == UNKNOWN_KIND:
-                x_mm, y_mm, _ = workpiece.position_mm
-                job.warn(Alarm.UNKNOWN_OBJECT, f"At x = {x_mm:.0f} mm, y = {y_mm:.0f} mm.")
+        unknown = [workpiece.position_mm for workpiece in perception.workpieces if workpiece.kind == UNKNOWN_KIND]
+        if unknown:
+            where = "; ".join(f"x = {x_mm:.0f} mm, y = {y_mm:.0f} mm" for x_mm, y_mm, _ in unknown)
+            job.warn(Alarm.UNKNOWN_OBJECT, f"At {where}.")
         return Outcome(evidence)
 
     async def _record(self, job: Job, perception: Perception) -> dict[str, object]:
@@ -157,11 +155,10 @@ async def _analyse_left(job: Job, right_end: Transform) -> object:
     return await job.in_thread(lambda: analyse(image, base_T_tcp_left, right_end))
 
 
-async def _rise(job: Job, z_mm: float) -> None:
+async def _rise(job: Job, z_mm: float, speed_mm_s: float) -> None:
     """Go straight up to a height; nothing where the arm is there or higher."""
     pose = await job.manipulator.pose()
     if pose.z_mm < z_mm - _LEVEL_MM:
-        speed_mm_s = job.equipment.parameters.motion.approach_speed_mm_s
         await job.manipulator.move_linear(replace(pose, z_mm=z_mm), speed_mm_s, "straight up")
 
 

@@ -1,7 +1,7 @@
 """What an error in a step leads to. A pure function of the step, the alarm and what was tried before.
 
-Nothing that could move twice is retried blindly: a pick that came up empty is looked at again, an interrupted or
-unknown motion is never continued.
+Nothing that could move twice is retried blindly: after a pick that came up empty, a part that was lost or a scene that
+is not as expected the cell looks and plans anew; an interrupted or unknown motion is never continued.
 """
 
 from __future__ import annotations
@@ -64,6 +64,10 @@ _COMMANDS: dict[Recovery, tuple[Command, ...]] = {
 
 _OBSERVING = frozenset({StepName.OBSERVE_LEFT, StepName.OBSERVE_RIGHT})
 _CAMERA_TROUBLE = frozenset({Alarm.CAMERA_TIMEOUT, Alarm.CAMERA_STALE})
+_CARRYING = frozenset({StepName.PICK, StepName.PLACE})
+_NOT_IN_THE_HAND = frozenset({Alarm.GRIP_EMPTY, Alarm.GRIP_LOST})
+"""Felt where the hand is up already: what fell is looked for like anything else that stands where it should not."""
+_BETTER_SEEN_AGAIN = frozenset({Alarm.UNCERTAIN_POSITION, Alarm.PART_LEFT})
 _BEFORE_ANY_GRIP = frozenset({StepName.PERCEIVE, StepName.PLAN})
 
 
@@ -81,9 +85,9 @@ def decide(
     before = attempts.get((step, alarm), 0)
     if step in _OBSERVING and alarm in _CAMERA_TROUBLE and before < retries.frame:
         return Recovery.RETRY
-    if step is StepName.PICK and alarm is Alarm.GRIP_EMPTY and before < retries.grip:
+    if step in _CARRYING and alarm in _NOT_IN_THE_HAND and before < retries.grip:
         return Recovery.REOBSERVE
-    if step in _BEFORE_ANY_GRIP and alarm is Alarm.UNCERTAIN_POSITION and before < retries.look:
+    if step in _BEFORE_ANY_GRIP and alarm in _BETTER_SEEN_AGAIN and before < retries.look:
         return Recovery.REOBSERVE
     if step is StepName.PERCEIVE and alarm is Alarm.IMAGE_INVALID and before < retries.frame:
         return Recovery.REOBSERVE

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from srvs_cell.planning import CellPlan
+from srvs_cell.planning import CellPlan, KeptPlaces
 from srvs_cell.scene import Perception, Workpiece
 
 if TYPE_CHECKING:
@@ -41,8 +41,9 @@ arm travels to the right end; raises `AlarmError` where the image does not allow
 Perceive = Callable[[StereoLook], Perception]
 """Raises `AlarmError` where the images do not allow a perception. Called in a worker thread."""
 
-PlanJob = Callable[[Sequence[Workpiece]], CellPlan]
-"""Raises `AlarmError` as `srvs_cell.planning.plan_relocation`. Called in a worker thread."""
+PlanJob = Callable[[Sequence[Workpiece], KeptPlaces | None], CellPlan]
+"""(workpieces, places of the job where it has begun) -> plan. Raises `AlarmError` as
+`srvs_cell.planning.plan_relocation`. Called in a worker thread."""
 
 Pictures = Callable[[Perception], Mapping[str, "NDArray[np.uint8]"]]
 """Name -> image, of what was perceived, for the run folder and the operator's page."""

@@ -4,34 +4,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from operator import itemgetter
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.cell.correction import correction_plan
+from srvs_cell.cell.expectation import compare, expected_now
 from srvs_cell.cell.export import plan_json
 from srvs_cell.cell.grip_steps import Deliver, Pick, Place
 from srvs_cell.cell.interlocks import check_certainty
 from srvs_cell.cell.job import Job, Outcome, Step
 from srvs_cell.cell.look_steps import Rise, look
 from srvs_cell.cell.recovery import StepName
-from srvs_cell.planning import footprint_centroid_mm
+from srvs_cell.planning import KeptPlaces, footprint_centroid_mm, why_not_taken
 from srvs_cell.scene import PlanStatus
 
 if TYPE_CHECKING:
     from srvs_cell.config import ToleranceParameters
-    from srvs_cell.planning import CellPlan
     from srvs_cell.scene import Workpiece
 
 _FURTHER_LOOKS = 3
 """Looks beyond those that must agree, before an operator is asked."""
-_CORRECTABLE_MM = 30.0
-"""Farther from its goal a part was not misplaced by the cell: somebody else has moved it."""
 
 
 def whole_job(*, holding: bool) -> list[Step]:
     """Return the steps of the paper's job; a part that is still held is put where it belongs first."""
-    return [Rise(), *([Deliver()] if holding else []), *start_over(verifying=False)]
+    return [Rise(), *([Deliver()] if holding else []), *start_over()]
 
 
 def look_only() -> list[Step]:
@@ -44,9 +40,9 @@ def retreat() -> list[Step]:
     return [Rise(StepName.RETREAT)]
 
 
-def start_over(*, verifying: bool) -> list[Step]:
-    """Return the steps that look anew, and verify what was relocated or plan what is to be relocated."""
-    return [*look(verifying=True), Verify()] if verifying else [*look(), Confirm(), Plan()]
+def start_over() -> list[Step]:
+    """Return the steps that look anew and plan from what is seen."""
+    return [*look(), Confirm(), Plan()]
 
 
 @dataclass(frozen=True)
@@ -54,7 +50,6 @@ class Confirm:
     """Believe what was seen when enough looks in a row saw the same: an unseen part is one that the arm may hit."""
 
     name: StepName = StepName.CONFIRM
-    verifying: ClassVar[bool] = False
 
     async def run(self, job: Job) -> Outcome:
         """Look again until the looks agree; raises LOOKS_DISAGREE where they do not within a few."""
@@ -78,12 +73,16 @@ class Plan:
     """Plan the relocation of what was perceived and put its moves into the queue."""
 
     name: StepName = StepName.PLAN
-    verifying: ClassVar[bool] = False
 
     async def run(self, job: Job) -> Outcome:
-        """Plan; raises PLAN_INFEASIBLE with the reason for each workpiece."""
-        workpieces = job.progress.workpieces
-        plan = await job.in_thread(lambda: job.equipment.plan(workpieces))
+        """Plan; raises PLAN_INFEASIBLE with the reason for each workpiece, and PART_LEFT where none may be left."""
+        workpieces, parameters = job.progress.workpieces, job.equipment.parameters
+        if left := "; ".join(_left(workpiece) for workpiece in workpieces if why_not_taken(workpiece)):
+            if parameters.unmovable_parts == "hold":
+                raise AlarmError(Alarm.PART_LEFT, f"{left}. Nothing was moved for this plan.")
+            job.warn(Alarm.PART_LEFT, f"{left}.")
+        kept = KeptPlaces(job.places_mm, parameters.tolerance.verify_mm) if job.places_mm else None
+        plan = await job.in_thread(lambda: job.equipment.plan(workpieces, kept))
         relocation = plan.relocation
         content = plan_json(plan)
         await job.save_json(f"plan_{job.looks - 1}", content)
@@ -99,75 +98,53 @@ class Plan:
             )
         by_id = {workpiece.id: workpiece for workpiece in workpieces}
         for move in plan.moves:
-            check_certainty(by_id[move.workpiece], job.equipment.parameters.tolerance)
+            check_certainty(by_id[move.workpiece], parameters.tolerance)
         job.progress.plan, job.progress.moves_left = plan, len(plan.moves)
         job.offsets_mm = {}
+        if not job.places_mm:
+            job.places_mm = tuple(footprint_centroid_mm(by_id[number].footprint_mm) for number in plan.table.workpieces)
         steps: list[Step] = []
-        for move in plan.moves:
+        for number, move in enumerate(plan.moves, start=1):
             steps += [Pick(by_id[move.workpiece], move), Place(move)]
-        if steps and not job.dry_run:
-            steps += start_over(verifying=True)
+            if parameters.look.verify == "each_move" or number == len(plan.moves):
+                steps += [*look(verifying=True), Verify()]
+        if job.dry_run:
+            steps = [step for step in steps if isinstance(step, Pick | Place)]
         return Outcome({"moves": len(plan.moves), "status": relocation.status.value}, steps)
 
 
 @dataclass(frozen=True)
 class Verify:
-    """Compare what is seen after the relocation with where every workpiece should stand, moved or not."""
+    """Compare what is seen after a move, or after the last one, with where everything should stand by then."""
 
     name: StepName = StepName.VERIFY
-    verifying: ClassVar[bool] = True
 
     async def run(self, job: Job) -> Outcome:
-        """Compare; put parts that are only a little off onto their goals.
-
-        Raises VERIFY_FAILED naming each workpiece that is not at its goal.
-        """
+        """Compare; raises VERIFY_FAILED naming what was moved, is missing or was added, on which the job plans anew."""
         tolerance, plan = job.equipment.parameters.tolerance, job.progress.plan
         if plan is None:
             raise AlarmError(Alarm.INTERNAL_ERROR, "There is no plan to verify.")
-        found = _find(job)
-        errors_mm: dict[int, float | None] = {}
-        off: dict[int, Workpiece] = {}
-        wrong = []
-        for goal in plan.goals:
-            if not goal.visible:
-                continue
-            distance_mm, workpiece = found[goal.workpiece]
-            errors_mm[goal.workpiece] = None if workpiece is None else round(distance_mm, 3)
-            if distance_mm > tolerance.verify_mm:
-                where = "not seen" if workpiece is None else f"{distance_mm:.1f} mm from its goal"
-                x_mm, y_mm = goal.point_mm
-                wrong.append(f"workpiece {goal.workpiece} is {where} ({x_mm:.1f}, {y_mm:.1f})")
-                if workpiece is not None and distance_mm <= _CORRECTABLE_MM:
-                    off[goal.workpiece] = workpiece
-        errors = {str(identifier): error_mm for identifier, error_mm in errors_mm.items()}
-        evidence = {"tolerance_mm": tolerance.verify_mm, "errors_mm": errors, "wrong": wrong}
+        expected = expected_now(plan, job.progress.workpieces, job.offsets_mm)
+        found = compare(expected, job.progress.verified, tolerance)
+        errors = {str(identifier): error_mm for identifier, error_mm in found.errors_mm.items()}
+        evidence = {"tolerance_mm": tolerance.verify_mm, "errors_mm": errors, "changes": list(found.changes)}
         await job.save_json(f"verify_{job.looks - 1}", evidence)
-        if not wrong:
+        if found.changes:
+            # This look counts where several must agree before the new plan; whoever came to stand here has a place.
+            job.sightings = [job.progress.verified]
+            job.places_mm += found.added_mm
+            changes = "; ".join(found.changes)
+            job.warn(Alarm.SCENE_CHANGED, f"After move {job.progress.moves_done}: {changes}.")
+            raise AlarmError(Alarm.VERIFY_FAILED, f"{changes} (allowed {tolerance.verify_mm} mm).")
+        job.forget_failures(self.name)
+        if not job.progress.moves_left:
             job.progress.workpieces = job.progress.verified
-            return Outcome(evidence)
-        distinct = len({workpiece.id for workpiece in off.values()}) == len(wrong)
-        if distinct and job.corrections < job.equipment.parameters.retries.verify:
-            return Outcome(evidence, await self._correct(job, plan, off))
-        raise AlarmError(Alarm.VERIFY_FAILED, f"{'; '.join(wrong)} (allowed {tolerance.verify_mm} mm).")
+        return Outcome(evidence)
 
-    async def _correct(self, job: Job, former: CellPlan, off: dict[int, Workpiece]) -> list[Step]:
-        """Return the steps that bring misplaced parts onto their goals and verify again."""
-        job.corrections += 1
-        seen_mm = {identifier: footprint_centroid_mm(workpiece.footprint_mm) for identifier, workpiece in off.items()}
-        plan = await job.in_thread(lambda: correction_plan(former, seen_mm))
-        content = plan_json(plan)
-        await job.save_json(f"correction_{job.looks - 1}", content)
-        await job.journal_event("plan", "correction", content)
-        if not plan.moves or any(move.workpiece not in off for move in plan.moves):
-            reasons = "; ".join(plan.relocation.reasons) or "another part would have to be moved"
-            raise AlarmError(Alarm.VERIFY_FAILED, f"Misplaced parts cannot be put right: {reasons}.")
-        job.offsets_mm = {}
-        job.progress.moves_left += len(plan.moves)
-        steps: list[Step] = []
-        for move in plan.moves:
-            steps += [Pick(off[move.workpiece], move), Place(move)]
-        return [*steps, *start_over(verifying=True)]
+
+def _left(workpiece: Workpiece) -> str:
+    x_mm, y_mm, _ = workpiece.position_mm
+    return f"workpiece {workpiece.id} ({workpiece.kind}) at ({x_mm:.0f}, {y_mm:.0f}): {why_not_taken(workpiece)}"
 
 
 def _same_parts(one: tuple[Workpiece, ...], other: tuple[Workpiece, ...], tolerance: ToleranceParameters) -> bool:
@@ -180,18 +157,3 @@ def _same_parts(one: tuple[Workpiece, ...], other: tuple[Workpiece, ...], tolera
         )
         for a in one
     )
-
-
-def _find(job: Job) -> dict[int, tuple[float, Workpiece | None]]:
-    """Return, for each workpiece that has a goal, the nearest part of its height and its distance from the goal."""
-    plan, height_tolerance_mm = job.progress.plan, job.equipment.parameters.tolerance.verify_height_mm
-    heights_mm = {workpiece.id: workpiece.height_mm for workpiece in job.progress.workpieces}
-    found: dict[int, tuple[float, Workpiece | None]] = {}
-    for goal in () if plan is None else plan.goals:
-        best: tuple[float, Workpiece | None] = (math.inf, None)
-        for workpiece in job.progress.verified:
-            if abs(workpiece.height_mm - heights_mm[goal.workpiece]) <= height_tolerance_mm:
-                distance_mm = math.dist(footprint_centroid_mm(workpiece.footprint_mm), goal.point_mm)
-                best = min(best, (distance_mm, workpiece), key=itemgetter(0))
-        found[goal.workpiece] = best
-    return found

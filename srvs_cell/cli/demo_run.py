@@ -148,8 +148,9 @@ def _conclude(
         [Goal(g["workpiece"], tuple(g["point_mm"])) for g in plan.get("goals", [])],
         frozenset(move.workpiece_id for move in moves),
     )
-    alarms = [f"alarm {a['code']} {a['name']}: {a['detail']}" for a in status["alarms"] if a["severity"] != "warning"]
     ended = [] if status["state"] == "Complete" else [f"the cell ended in {status['state']}, not in Complete"]
+    told = [a for a in status["alarms"] if ended or a["severity"] != "warning" or a["name"] == "PART_LEFT"]
+    alarms = [f"alarm {a['code']} {a['name']}: {a['detail']}" for a in told]
     reasons = [*ended, *alarms, *verdict.reasons]
     success = verdict.success and not ended
     result = {

@@ -73,6 +73,10 @@ class LookParameters:
     agreeing_looks: Annotated[
         int, Field(ge=1, le=5, description="looks in a row that must see the same parts before one is moved")
     ] = 1
+    verify: Annotated[
+        Literal["each_move", "each_plan"],
+        Field(description="when what was planned is compared with a look: after each move, or after the last one only"),
+    ] = "each_move"
     look_again_s: Annotated[
         float, Field(ge=0.1, le=3600.0, description="interval of looking again while nothing is in view")
     ] = 5.0
@@ -132,16 +136,25 @@ class ToleranceParameters:
     verify_height_mm: Annotated[
         float, Field(gt=0.0, le=100.0, description="difference in height at which a part counts as the same one")
     ] = 8.0
+    verify_deg: Annotated[
+        float, Field(gt=0.0, le=90.0, description="turn at which a part counts as standing as it was put")
+    ] = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class RetryParameters:
     """How often a step is tried again before an operator is asked."""
 
-    grip: Annotated[int, Field(ge=0, le=10, description="looks and new plans after grips that came up empty")] = 2
+    grip: Annotated[
+        int, Field(ge=0, le=10, description="looks and new plans after grips that came up empty, or lost their part")
+    ] = 2
     frame: Annotated[int, Field(ge=0, le=10, description="further grabs after a frame that did not come")] = 1
-    look: Annotated[int, Field(ge=0, le=10, description="further looks when a position is uncertain")] = 1
-    verify: Annotated[int, Field(ge=0, le=10, description="new plans when the parts are not where they were put")] = 1
+    look: Annotated[
+        int, Field(ge=0, le=10, description="further looks when a position is uncertain, or a part cannot be taken")
+    ] = 1
+    verify: Annotated[
+        int, Field(ge=0, le=10, description="new plans in a row because parts are not seen where they should stand")
+    ] = 3
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -154,6 +167,13 @@ class CellParameters:
     motion: MotionParameters = Field(default_factory=MotionParameters)
     tolerance: ToleranceParameters = Field(default_factory=ToleranceParameters)
     retries: RetryParameters = Field(default_factory=RetryParameters)
+    unmovable_parts: Annotated[
+        Literal["hold", "leave"],
+        Field(
+            description="parts that cannot be taken (unknown shape, no grasp): hold before anything moves, or leave "
+            "them where they are, relocate the others round them and warn"
+        ),
+    ] = "hold"
     status_interval_s: Annotated[
         float, Field(gt=0.0, le=10.0, description="how often the arm's status is read while it is not moved")
     ] = 0.5
@@ -171,6 +191,7 @@ class CellParameters:
             z_mm=self.workspace.z_mm,
             travel_speed_mm_s=motion.travel_speed_mm_s,
             approach_speed_mm_s=motion.approach_speed_mm_s,
+            looks_between=self.look.verify == "each_move",
         )
 
     @model_validator(mode="after")

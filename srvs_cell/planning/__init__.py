@@ -4,6 +4,7 @@ from srvs_cell.planning.arm import ArmParameters
 from srvs_cell.planning.buffers import Workspace
 from srvs_cell.planning.explain import explain, what_would_help
 from srvs_cell.planning.hand import Approach, HandMotion
+from srvs_cell.planning.kept_places import KeptPlaces
 from srvs_cell.planning.legs import LegTops
 from srvs_cell.planning.parameters import FingerGeometry, PlanningParameters, SearchLimits
 from srvs_cell.planning.picture import plan_svg
@@ -21,7 +22,7 @@ from srvs_cell.planning.problem import (
     Rectangle,
     read_problems,
 )
-from srvs_cell.planning.relocation import CellGoal, CellMove, CellPlan, cell_moves, plan_relocation
+from srvs_cell.planning.relocation import CellGoal, CellMove, CellPlan, plan_relocation
 from srvs_cell.planning.rules import (
     Choice,
     ElementChange,
@@ -32,7 +33,7 @@ from srvs_cell.planning.rules import (
     Standing,
     make_rule,
 )
-from srvs_cell.planning.table import TableProblem, footprint_centroid_mm, table_problem
+from srvs_cell.planning.table import TableProblem, footprint_centroid_mm, table_problem, why_not_taken
 from srvs_cell.planning.validator import validate
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "Footprint",
     "HandMotion",
     "HeightOrder",
+    "KeptPlaces",
     "LegTops",
     "NominalPlace",
     "Obstacle",
@@ -65,7 +67,6 @@ __all__ = [
     "Standing",
     "TableProblem",
     "Workspace",
-    "cell_moves",
     "explain",
     "footprint_centroid_mm",
     "has_plan",
@@ -78,4 +79,5 @@ __all__ = [
     "table_problem",
     "validate",
     "what_would_help",
+    "why_not_taken",
 ]

@@ -54,6 +54,7 @@ class HandMotion:
         observe: TCP pose from which the cell looks; jobs begin and end there.
         z_mm: least and greatest height of the TCP.
         travel_speed_mm_s, approach_speed_mm_s: of straight moves above parts, and down to a part and up from it.
+        looks_between: whether the hand goes back to the observe pose after every move, to look, not only in the end.
     """
 
     table_z_mm: float
@@ -65,6 +66,7 @@ class HandMotion:
     z_mm: tuple[float, float]
     travel_speed_mm_s: float
     approach_speed_mm_s: float
+    looks_between: bool = False
 
     def grasp_pose(self, grasp: Grasp, offset_mm: Point2 = (0.0, 0.0)) -> Xyzwpr:
         """Return the TCP pose of a grasp whose workpiece has meanwhile been moved by ``offset_mm``."""

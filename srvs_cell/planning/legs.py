@@ -43,10 +43,11 @@ def tallest_mm(problem: Problem) -> float:
     return max(tops, default=0.0)
 
 
-def leg_tops(problem: Problem, moves: Sequence[Move]) -> tuple[LegTops, ...]:
+def leg_tops(problem: Problem, moves: Sequence[Move], *, looks_between: bool) -> tuple[LegTops, ...]:
     """Return the heights under the legs of each move of a plan.
 
-    The first leg comes from wherever the cell has looked from: it passes above everything.
+    A leg that comes from where the cell has looked from passes above everything; before it looks the hand goes straight
+    up. That is so before the first move and after the last one, and with ``looks_between`` for every move.
     """
     points = [(place.x_mm, place.y_mm) for place in problem.places]
     table = _Table(problem)
@@ -56,9 +57,10 @@ def leg_tops(problem: Problem, moves: Sequence[Move]) -> tuple[LegTops, ...]:
         origin, target = points[move.from_place], points[move.to_place]
         carried.append(table.highest_mm(stands, origin, target, problem.objects[move.object]))
         stands[move.object] = move.to_place
-        following = moves[number + 1].from_place if number + 1 < len(moves) else move.to_place
+        looks = looks_between or number + 1 == len(moves)
+        following = move.to_place if looks else moves[number + 1].from_place
         away.append(table.highest_mm(stands, target, points[following], None))
-    to_pick = [tallest_mm(problem), *away]
+    to_pick = [tallest_mm(problem)] * len(moves) if looks_between else [tallest_mm(problem), *away]
     return tuple(LegTops(*heights) for heights in zip(to_pick, carried, away, strict=False))
 
 

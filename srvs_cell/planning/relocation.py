@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.planning.buffers import Workspace
     from srvs_cell.planning.hand import HandMotion
+    from srvs_cell.planning.kept_places import KeptPlaces
     from srvs_cell.planning.parameters import PlanningParameters
     from srvs_cell.planning.problem import Problem
     from srvs_cell.planning.rules import Rule
@@ -94,6 +95,7 @@ def plan_relocation(
     workspace: Workspace,
     rule: Rule | None = None,
     hand: HandMotion | None = None,
+    kept: KeptPlaces | None = None,
 ) -> CellPlan:
     """Plan what the goal rule wants for what was perceived, and replay the plan in the validator.
 
@@ -105,6 +107,7 @@ def plan_relocation(
         workspace: where the hand may go.
         rule: the goal rule; None for the one that the parameters name.
         hand: how the cell moves the hand; None: heights, reach and joint limits play no part.
+        kept: the places of a job that has begun already; None: the places where the workpieces stand.
 
     Returns:
         the plan; an infeasible one is returned, with its reasons, not raised.
@@ -116,74 +119,100 @@ def plan_relocation(
     """
     if rule is None and parameters.names_a_rule:
         rule = make_rule(parameters.rule, parameters.rule_settings)
+    task = _Task(workpieces, parameters, workspace, rule, hand, kept)
     try:
-        table = table_problem(workpieces, parameters, workspace, rule=rule, hand=hand)
+        table = task.table()
     except AlarmError as error:
-        if error.alarm is Alarm.NO_BUFFER_PLACE and _is_solvable_if_exact(
-            workpieces, parameters, workspace, 1, rule, hand
-        ):
+        if error.alarm is Alarm.NO_BUFFER_PLACE and task.is_solvable_if_exact(1):
             raise _too_uncertain((error.detail.rstrip("."),), ()) from error
         raise
-    answer = _planned(table, workpieces, parameters, hand)
+    answer = task.plan(table)
     found = sum(place.kind is PlaceKind.BUFFER for place in table.problem.places)
     if found and not parameters.buffer_places_mm:
         for buffers in range(found + 1, parameters.max_found_buffers + 1):
             if has_plan(answer):
                 break
             try:
-                wider = table_problem(workpieces, parameters, workspace, buffers, rule=rule, hand=hand)
+                wider = task.table(buffers)
             except AlarmError as error:
                 # One place was found before, so that "infeasible" and its reasons say more than the alarm would.
                 answer = replace(answer, reasons=(*answer.reasons, f"no further buffer place: {error.detail}"))
                 break
-            table, answer = wider, _planned(wider, workpieces, parameters, hand)
-    if answer.status is PlanStatus.INFEASIBLE and _is_solvable_if_exact(
-        workpieces, parameters, workspace, found, rule, hand
-    ):
+            table, answer = wider, task.plan(wider)
+        table, answer = task.with_better_buffer(table, answer)
+    if answer.status is PlanStatus.INFEASIBLE and task.is_solvable_if_exact(found):
         raise _too_uncertain(answer.reasons, table.notes)
-    made = _cell_plan(table, answer)
+    made = _cell_plan(table, answer, looks_between=hand is not None and hand.looks_between)
     if hand is not None:
         _check_ways(made, workpieces, hand, Access(hand, parameters.arm, workspace))
     return made
 
 
-def _planned(
-    table: TableProblem, workpieces: Sequence[Workpiece], parameters: PlanningParameters, hand: HandMotion | None
-) -> RelocationPlan:
-    """Plan for what the config wants to be least."""
-    if hand is None or parameters.objective != "time":
-        return plan(table.problem, parameters.limits)
-    by_id = {workpiece.id: workpiece for workpiece in workpieces}
-    movable = [by_id[identifier] for identifier in table.workpieces]
-    return plan(table.problem, parameters.limits, cell_timing(table.problem, movable, hand, parameters))
+@dataclass(frozen=True)
+class _Task:
+    """What is to be planned; the arguments of `plan_relocation`."""
 
+    workpieces: Sequence[Workpiece]
+    parameters: PlanningParameters
+    workspace: Workspace
+    rule: Rule | None
+    hand: HandMotion | None
+    kept: KeptPlaces | None
 
-def _with_better_buffer(
-    table: TableProblem,
-    answer: RelocationPlan,
-    workpieces: Sequence[Workpiece],
-    parameters: PlanningParameters,
-    workspace: Workspace,
-    hand: HandMotion | None,
-) -> tuple[TableProblem, RelocationPlan]:
-    """Move the buffer place that was found to where the plan's ways are shortest, and plan anew, while that helps."""
-    by_id = {workpiece.id: workpiece for workpiece in workpieces}
-    movable = [by_id[identifier] for identifier in table.workpieces]
-    access = None if hand is None else Access(hand, parameters.arm, workspace)
-    for _ in range(_MOST_BUFFERS_TRIED):
-        if table.problem.places[-1].kind is not PlaceKind.BUFFER:
-            break
-        moved = better_buffer(
-            table.problem, answer.moves, workspace, parameters.buffer_grid_mm, accessible(movable, access)
+    def table(self, buffers: int = 1, *, exact: bool = False) -> TableProblem:
+        """Return the problem; raises `AlarmError` NO_BUFFER_PLACE."""
+        return table_problem(
+            self.workpieces,
+            self.parameters,
+            self.workspace,
+            buffers,
+            rule=self.rule,
+            hand=self.hand,
+            kept=self.kept,
+            exact=exact,
         )
-        if moved is None:
-            break
-        trial = replace(table, problem=with_access(moved, movable, access))
-        shorter = _planned(trial, workpieces, parameters, hand)
-        if not shorter.moves or _cost(shorter) >= _cost(answer):
-            break
-        table, answer = trial, shorter
-    return table, answer
+
+    def plan(self, table: TableProblem) -> RelocationPlan:
+        """Plan for what the config wants to be least."""
+        if self.hand is None or self.parameters.objective != "time":
+            return plan(table.problem, self.parameters.limits)
+        timing = cell_timing(table.problem, self._movable(table), self.hand, self.parameters)
+        return plan(table.problem, self.parameters.limits, timing)
+
+    def with_better_buffer(self, table: TableProblem, answer: RelocationPlan) -> tuple[TableProblem, RelocationPlan]:
+        """Move the buffer place that was found to where the plan's ways are shortest, and plan anew, while it helps."""
+        movable = self._movable(table)
+        access = None if self.hand is None else Access(self.hand, self.parameters.arm, self.workspace)
+        for _ in range(_MOST_BUFFERS_TRIED):
+            if table.problem.places[-1].kind is not PlaceKind.BUFFER:
+                break
+            moved = better_buffer(
+                table.problem,
+                answer.moves,
+                self.workspace,
+                self.parameters.buffer_grid_mm,
+                accessible(movable, access),
+            )
+            if moved is None:
+                break
+            trial = replace(table, problem=with_access(moved, movable, access))
+            shorter = self.plan(trial)
+            if not shorter.moves or _cost(shorter) >= _cost(answer):
+                break
+            table, answer = trial, shorter
+        return table, answer
+
+    def is_solvable_if_exact(self, buffers: int) -> bool:
+        """Tell whether there would be a plan without the room that is kept for the vision's uncertainty."""
+        try:
+            exact = self.table(max(buffers, 1), exact=True)
+        except AlarmError:
+            return False
+        return has_plan(plan(exact.problem, self.parameters.limits))
+
+    def _movable(self, table: TableProblem) -> list[Workpiece]:
+        by_id = {workpiece.id: workpiece for workpiece in self.workpieces}
+        return [by_id[identifier] for identifier in table.workpieces]
 
 
 def _cost(answer: RelocationPlan) -> tuple[int, float]:
@@ -197,23 +226,7 @@ def _too_uncertain(reasons: tuple[str, ...], notes: tuple[str, ...]) -> AlarmErr
     return AlarmError(Alarm.UNCERTAIN_POSITION, f"{said}: {'; '.join((*reasons, *notes))}.")
 
 
-def _is_solvable_if_exact(
-    workpieces: Sequence[Workpiece],
-    parameters: PlanningParameters,
-    workspace: Workspace,
-    buffers: int,
-    rule: Rule | None,
-    hand: HandMotion | None,
-) -> bool:
-    """Tell whether there would be a plan without the room that is kept for the vision's uncertainty."""
-    try:
-        exact = table_problem(workpieces, parameters, workspace, max(buffers, 1), rule=rule, hand=hand, exact=True)
-    except AlarmError:
-        return False
-    return has_plan(plan(exact.problem, parameters.limits))
-
-
-def _cell_plan(table: TableProblem, answer: RelocationPlan) -> CellPlan:
+def _cell_plan(table: TableProblem, answer: RelocationPlan, *, looks_between: bool) -> CellPlan:
     problem = table.problem
     planned = has_plan(answer)
     if answer.status is PlanStatus.INFEASIBLE:
@@ -229,7 +242,7 @@ def _cell_plan(table: TableProblem, answer: RelocationPlan) -> CellPlan:
     return CellPlan(
         table=table,
         relocation=replace(answer, reasons=(*answer.reasons, *table.notes)),
-        moves=cell_moves(problem, answer.moves, table.workpieces),
+        moves=_cell_moves(problem, answer.moves, table.workpieces, looks_between=looks_between),
         goals=tuple(CellGoal(table.workpieces[i], points[end], end not in bins) for i, end in ends.items())
         if planned
         else (),
@@ -237,20 +250,23 @@ def _cell_plan(table: TableProblem, answer: RelocationPlan) -> CellPlan:
     )
 
 
-def cell_moves(problem: Problem, moves: Sequence[Move], workpieces: Sequence[int]) -> tuple[CellMove, ...]:
+def _cell_moves(
+    problem: Problem, moves: Sequence[Move], workpieces: Sequence[int], *, looks_between: bool
+) -> tuple[CellMove, ...]:
     """Return moves in the cell's terms.
 
     Args:
         problem: the problem.
         moves: a valid plan of it.
         workpieces: id of the workpiece behind each object.
+        looks_between: whether the hand goes to look after every move.
 
     Raises:
         AlarmError: PLAN_INVALID where the validator finds something higher under a way than the plan says.
     """
     points = [(place.x_mm, place.y_mm) for place in problem.places]
-    tops = leg_tops(problem, moves)
-    refusal = validate_legs(problem, moves, tops)
+    tops = leg_tops(problem, moves, looks_between=looks_between)
+    refusal = validate_legs(problem, moves, tops, looks_between=looks_between)
     if refusal:
         raise AlarmError(Alarm.PLAN_INVALID, f"{'; '.join(refusal)}.")
     return tuple(
@@ -274,9 +290,9 @@ def _check_ways(made: CellPlan, workpieces: Sequence[Workpiece], hand: HandMotio
         pick, lifted = hand.pick_way(at, move.tops)
         place, leave = hand.place_way(hand.release_pose(at, offset_mm), hand.hang_mm(at), move.tops)
         way = [before, pick.above, pick.at, lifted, place.above, place.at, leave.above]
-        if number == len(made.moves):
+        if hand.looks_between or number == len(made.moves):
             way += [replace(leave.above, z_mm=max(hand.observe.z_mm, leave.above.z_mm)), hand.observe]
         if why := access.why_not_way(way):
             raise AlarmError(Alarm.PLAN_INFEASIBLE, f"Move {number}, workpiece {move.workpiece}: {why} on the way.")
         carried[move.workpiece] = (x_mm + offset_mm[0], y_mm + offset_mm[1])
-        before = leave.above
+        before = way[-1]

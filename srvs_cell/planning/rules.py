@@ -38,10 +38,17 @@ Coordinate = Annotated[float, Field(ge=-5000.0, le=5000.0)]
 
 @dataclass(frozen=True)
 class Standing:
-    """A workpiece that can be taken, and the point of its footprint that stands on a place."""
+    """A workpiece that can be taken, and the point of its footprint that stands on a place.
+
+    Attributes:
+        workpiece: the workpiece.
+        point_mm: where its footprint's centroid stands.
+        on_place: whether that is a place of the job; in mid-job it may wait elsewhere, or have been moved by somebody.
+    """
 
     workpiece: Workpiece
     point_mm: Point2
+    on_place: bool = True
 
 
 @dataclass(frozen=True)
@@ -67,8 +74,16 @@ class Rule(Protocol):
     def name(self) -> str:
         """What config and reasons call the rule."""
 
-    def choose(self, standing: Sequence[Standing]) -> Choice:
-        """Return what should become of the workpieces; raises `AlarmError` PLAN_INFEASIBLE where that is impossible."""
+    def choose(self, standing: Sequence[Standing], vacant_mm: Sequence[Point2] = ()) -> Choice:
+        """Return what should become of the workpieces.
+
+        Args:
+            standing: the workpieces that can be taken.
+            vacant_mm: places of the job on which nothing stands any more; none before its first move.
+
+        Raises:
+            AlarmError: PLAN_INFEASIBLE where that is impossible.
+        """
 
 
 @settings(frozen=True, kw_only=True, config=_STRICT)
@@ -97,12 +112,23 @@ class HeightOrder:
         """The rule's name."""
         return "height_order"
 
-    def choose(self, standing: Sequence[Standing]) -> Choice:
-        """Return the order of height on the places that are occupied."""
-        order = self.order([each.point_mm for each in standing])
+    def choose(self, standing: Sequence[Standing], vacant_mm: Sequence[Point2] = ()) -> Choice:
+        """Return the order of height on the job's places, as many as there are workpieces.
+
+        Where parts were taken away the vacant places that come last in the order are given up; where parts were added
+        their own places, the first in the order, become places of the job.
+        """
+        elsewhere = [number for number, each in enumerate(standing) if not each.on_place]
+        vacant = [vacant_mm[i] for i in self.order(vacant_mm)][: len(elsewhere)]
+        added = [elsewhere[i] for i in self.order([standing[number].point_mm for number in elsewhere])]
+        added = added[: len(elsewhere) - len(vacant)]
+        taken = sorted({*(number for number, each in enumerate(standing) if each.on_place), *added})
+        places = [*taken, *range(len(standing), len(standing) + len(vacant))]
+        points = [*(standing[number].point_mm for number in taken), *vacant]
+        order = tuple(places[i] for i in self.order(points))
         # Ranks go from tallest to lowest: ascending along the direction is descending against it.
         slots = order[::-1] if self.ascending else order
-        return Choice(RankGoal(slots, self.height_tolerance_mm))
+        return Choice(RankGoal(slots, self.height_tolerance_mm), tuple((point, PlaceKind.SLOT) for point in vacant))
 
     def order(self, points_mm: Sequence[Point2]) -> tuple[int, ...]:
         """Return the numbers of points, the farthest along the direction first.
@@ -156,7 +182,11 @@ class PositionCorrection:
         """The rule's name."""
         return "position_correction"
 
-    def choose(self, standing: Sequence[Standing]) -> Choice:
+    def choose(
+        self,
+        standing: Sequence[Standing],
+        vacant_mm: Sequence[Point2] = (),  # noqa: ARG002 - the taught places are the job's, whoever stands where
+    ) -> Choice:
         """Return for each workpiece its own place, or the taught one."""
         count = len(standing)
         distance_mm = np.array(
@@ -227,38 +257,59 @@ class ElementChange:
         """The rule's name."""
         return "element_change"
 
-    def choose(self, standing: Sequence[Standing]) -> Choice:
-        """Return the bin for the rejected, and their places, which must be filled, for the stock."""
+    def choose(self, standing: Sequence[Standing], vacant_mm: Sequence[Point2] = ()) -> Choice:
+        """Return the bin for the rejected; their places, and the job's vacant ones, must be filled.
+
+        They are filled from the stock, and by right parts that stand neither on a place nor in the stock.
+        """
         count = len(standing)
-        in_stock = [
-            any(math.dist(each.point_mm, place) <= self.stock_radius_mm for place in self.stock_mm) for each in standing
-        ]
+        in_stock = [self._is_in_stock(each.point_mm) for each in standing]
         in_bin = [math.dist(each.point_mm, self.bin_mm) <= self.stock_radius_mm for each in standing]
         why = [
             "" if stocked or binned else self._why_rejected(each.workpiece)
             for each, stocked, binned in zip(standing, in_stock, in_bin, strict=True)
         ]
-        freed = frozenset(number for number, reason in enumerate(why) if reason)
+        vacant = [
+            point
+            for point in vacant_mm
+            if not self._is_in_stock(point) and math.dist(point, self.bin_mm) > self.stock_radius_mm
+        ]
+        rejected = [number for number, reason in enumerate(why) if reason]
+        freed = frozenset(number for number in rejected if standing[number].on_place)
+        to_fill = freed | frozenset(range(count + 1, count + 1 + len(vacant)))
+        astray = [
+            number
+            for number, each in enumerate(standing)
+            if not (each.on_place or in_stock[number] or in_bin[number] or why[number])
+        ]
         right = [
             number
             for number, stocked in enumerate(in_stock)
             if stocked and standing[number].workpiece.kind == self.substitute_kind
         ]
-        if len(right) < len(freed):
+        if len(right) + len(astray) < len(to_fill):
             raise AlarmError(
                 Alarm.PLAN_INFEASIBLE,
-                f"{len(freed)} workpieces are rejected, but {len(right)} of kind {self.substitute_kind} are in stock.",
+                f"{len(rejected)} workpieces are rejected and {len(vacant)} places are vacant, but {len(right)} of "
+                f"kind {self.substitute_kind} are in stock.",
             )
-        allowed = tuple(
-            frozenset({count}) if number in freed else frozenset({number}) | (freed if number in right else frozenset())
-            for number in range(count)
-        )
+        allowed = [frozenset({number}) for number in range(count)]
+        for number in rejected:
+            allowed[number] = frozenset({count})
+        for number in right:
+            allowed[number] |= to_fill
+        for number in astray[: len(to_fill)]:
+            allowed[number] = to_fill
         notes = tuple(
             f"workpiece {each.workpiece.id} is rejected: {reason}"
             for each, reason in zip(standing, why, strict=True)
             if reason
         )
-        return Choice(AssignGoal(allowed, freed), ((self.bin_mm, PlaceKind.BIN),), notes)
+        further = ((self.bin_mm, PlaceKind.BIN), *((point, PlaceKind.SLOT) for point in vacant))
+        return Choice(AssignGoal(tuple(allowed), to_fill), further, notes)
+
+    def _is_in_stock(self, point_mm: Point2) -> bool:
+        return any(math.dist(point_mm, place) <= self.stock_radius_mm for place in self.stock_mm)
 
     def _why_rejected(self, workpiece: Workpiece) -> str:
         if workpiece.kind in self.reject_kinds:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srvs_cell.planning.hand import HandMotion
+    from srvs_cell.planning.kept_places import KeptPlaces
     from srvs_cell.planning.parameters import PlanningParameters
     from srvs_cell.planning.rules import Rule
     from srvs_cell.scene import Grasp
@@ -66,6 +67,7 @@ def table_problem(
     *,
     rule: Rule | None = None,
     hand: HandMotion | None = None,
+    kept: KeptPlaces | None = None,
     exact: bool = False,
 ) -> TableProblem:
     """Make the problem of the workpieces on the table; without a rule that of `HeightOrder`.
@@ -77,21 +79,23 @@ def table_problem(
         buffers: how many buffer places to look for where none is configured and the order is not kept already.
         rule: what the scene should become.
         hand: how the cell moves the hand; None: heights, reach and joint limits play no part.
+        kept: the places of the job, where it has begun already; None: the places where parts stand.
         exact: take the positions for exact, and not for as uncertain as the vision says.
 
     Raises:
         AlarmError: NO_BUFFER_PLACE where the order is not kept and no free place is found on the table; PLAN_INFEASIBLE
             where the rule finds that it cannot be kept.
     """
-    movable = [w for w in workpieces if w.grasp is not None and w.kind != UNKNOWN_KIND]
-    static = [w for w in workpieces if w.grasp is None or w.kind == UNKNOWN_KIND]
+    movable = [w for w in workpieces if not why_not_taken(w)]
+    static = [w for w in workpieces if why_not_taken(w)]
     centres = [footprint_centroid_mm(w.footprint_mm) for w in movable]
     slots = tuple(Place(i, x, y, PlaceKind.SLOT, workspace.contains(x, y)) for i, (x, y) in enumerate(centres))
     if rule is None:
         rule = HeightOrder(
             height_tolerance_mm=parameters.height_tolerance_mm, place_tolerance_mm=parameters.place_tolerance_mm
         )
-    choice = rule.choose([Standing(w, centre) for w, centre in zip(movable, centres, strict=True)])
+    on_place, vacant = ([True] * len(movable), ()) if kept is None else kept.compare(centres)
+    choice = rule.choose([Standing(*each) for each in zip(movable, centres, on_place, strict=True)], vacant)
     slots += tuple(
         Place(len(slots) + i, x, y, kind, workspace.contains(x, y)) for i, ((x, y), kind) in enumerate(choice.further)
     )
@@ -129,7 +133,7 @@ def table_problem(
         tuple(w.id for w in static),
         (
             *choice.notes,
-            *(f"{_name(w)} stays where it is: {_why_static(w)}" for w in static),
+            *(f"{_name(w)} stays where it is: {why_not_taken(w)}" for w in static),
             *(
                 _out_of_reach(w, centre, workspace)
                 for w, centre in zip(movable, centres, strict=True)
@@ -276,7 +280,10 @@ def _name(workpiece: Workpiece) -> str:
     return f"workpiece {workpiece.id} ({workpiece.kind}, {workpiece.height_mm:.1f} mm high)"
 
 
-def _why_static(workpiece: Workpiece) -> str:
+def why_not_taken(workpiece: Workpiece) -> str:
+    """Return why a workpiece cannot be taken and stays where it is, or an empty string."""
     if workpiece.kind == UNKNOWN_KIND:
         return "its shape is in no library"
-    return workpiece.grasp_refusal or "there is no grasp for it"
+    if workpiece.grasp is None:
+        return workpiece.grasp_refusal or "there is no grasp for it"
+    return ""

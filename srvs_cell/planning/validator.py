@@ -50,13 +50,16 @@ def validate(problem: Problem, plan_moves: Sequence[Move]) -> list[str]:
     return [f"goal_not_reached ({what})" for what in _unmet_goals(problem, stands)]
 
 
-def validate_legs(problem: Problem, plan_moves: Sequence[Move], tops: Sequence[LegTops]) -> list[str]:
+def validate_legs(
+    problem: Problem, plan_moves: Sequence[Move], tops: Sequence[LegTops], *, looks_between: bool
+) -> list[str]:
     """Replay a valid plan; return the legs under which something rises higher than the plan says, empty for none.
 
     Args:
         problem: the problem that the plan answers.
         plan_moves: moves in order, as `validate` accepts them.
         tops: what each move's legs pass above.
+        looks_between: whether the hand rises from every place to look, and comes back from above everything.
     """
     stands = [item.start for item in problem.objects]
     refusals = []
@@ -70,11 +73,12 @@ def validate_legs(problem: Problem, plan_moves: Sequence[Move], tops: Sequence[L
         if highest > heights.carried_mm:
             refusals.append(f"move {number}: something under the carried workpiece is {highest:.1f} mm high")
         stands[move.object] = move.to_place
-        following = problem.places[plan_moves[number].from_place] if number < len(plan_moves) else target
+        looks = looks_between or number == len(plan_moves)
+        following = target if looks else problem.places[plan_moves[number].from_place]
         highest = _under_mm(problem, stands, target, following, None)
         if highest > heights.away_mm:
             refusals.append(f"move {number}: something under the way from the place is {highest:.1f} mm high")
-        hand_from = target
+        hand_from = None if looks_between else target
     return refusals
 
 

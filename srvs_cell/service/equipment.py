@@ -12,6 +12,7 @@ from srvs_cell.vision import LeftAnalysis, StereoView, analyse_left, perceive
 from srvs_cell.vision.overlay import draw_locations, draw_matches
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import numpy as np
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from srvs_cell.cell import StereoLook
     from srvs_cell.config import CellConfig
     from srvs_cell.geometry import Transform
-    from srvs_cell.scene import Perception
+    from srvs_cell.planning import CellPlan, KeptPlaces
+    from srvs_cell.scene import Perception, Workpiece
     from srvs_cell.vision.kinds import ObjectKind
 
 _JOURNAL = "journal.sqlite"
@@ -48,11 +50,17 @@ def make_unit(config: CellConfig, state_dir: Path) -> Unit:
         recorder=RunRecorder(state_dir, config.service.keep_runs),
         calibration=calibration,
         perceive=partial(_perceive, config, calibration, library.kinds),
-        plan=partial(plan_relocation, parameters=config.planning, workspace=workspace, hand=config.cell.hand()),
+        plan=partial(_plan, config, workspace),
         pictures=_pictures,
         analyse_left=partial(_analyse_left, config, calibration),
     )
     return Unit(equipment, simulation=config.simulation)
+
+
+def _plan(
+    config: CellConfig, workspace: Workspace, workpieces: Sequence[Workpiece], kept: KeptPlaces | None
+) -> CellPlan:
+    return plan_relocation(workpieces, config.planning, workspace, hand=config.cell.hand(), kept=kept)
 
 
 def _analyse_left(

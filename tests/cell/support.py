@@ -14,7 +14,7 @@ from srvs_cell.calibration import Calibration, CameraIntrinsics, HandEye
 from srvs_cell.cell import Command, Devices, Equipment, Journal, RunRecorder, StereoLook, Unit
 from srvs_cell.config import CellParameters, LookParameters, PoseParameters, WorkspaceBox
 from srvs_cell.geometry import Xyzwpr
-from srvs_cell.planning import CellPlan, PlanningParameters, Workspace, plan_relocation
+from srvs_cell.planning import CellPlan, KeptPlaces, PlanningParameters, Workspace, plan_relocation
 from srvs_cell.scene import Grasp, Perception, PlaneImage, Workpiece
 
 if TYPE_CHECKING:
@@ -145,8 +145,8 @@ def build(
     def perceive(_: StereoLook) -> Perception:
         return seen(world)
 
-    def plan(workpieces: Sequence[Workpiece]) -> CellPlan:
-        return plan_relocation(workpieces, planning, workspace, hand=parameters.hand())
+    def plan(workpieces: Sequence[Workpiece], kept: KeptPlaces | None) -> CellPlan:
+        return plan_relocation(workpieces, planning, workspace, hand=parameters.hand(), kept=kept)
 
     equipment = Equipment(
         parameters=parameters,

@@ -67,7 +67,7 @@ async def test_the_left_image_is_worked_on_while_the_arm_travels(tmp_path: Path)
         await connected(cell)
         await cell.start()
         assert await cell.reaches("Complete", "Held", "Aborted", "Stopped") == "Complete"
-        assert looks == [("frame 2, 30.0 mm", 2, 3), ("frame 4, 30.0 mm", 4, 5)]
+        assert looks == [(f"frame {left}, 30.0 mm", left, left + 1) for left in (2, 4, 6, 8)]
 
 
 async def test_images_perception_plan_and_verification_are_kept(tmp_path: Path) -> None:
@@ -77,10 +77,9 @@ async def test_images_perception_plan_and_verification_are_kept(tmp_path: Path) 
         await cell.reaches("Complete")
         folder = tmp_path / "runs" / "000001"
         assert cell.unit.snapshot()["run_directory"] == str(folder)
-        assert sorted(path.name for path in folder.iterdir()) == [
-            "left_0.png", "left_1.png", "perception_0.json", "perception_1.json", "plan_0.json",
-            "right_0.png", "right_1.png", "verify_1.json",
-        ]  # fmt: skip
+        looks = [f"{name}_{look}" for look in range(4) for name in ("left", "perception", "right")]
+        kept = [*looks, "plan_0", "verify_1", "verify_2", "verify_3"]
+        assert sorted(path.stem for path in folder.iterdir()) == sorted(kept)
         plan = json.loads((folder / "plan_0.json").read_text())
         assert [goal["point_mm"] for goal in plan["goals"]] == [[300.0, -120.0], [300.0, 0.0], [300.0, 120.0]]
         assert cell.unit.snapshot()["job_time_s"] > 10.0

@@ -112,7 +112,7 @@ def test_what_stands_in_the_middle_is_passed_above_unless_it_is_carried() -> Non
     count = len(problem.places)
     ends = (Place(count, 450.0, 200.0, PlaceKind.BUFFER), Place(count + 1, 650.0, -200.0, PlaceKind.BUFFER))
     problem = dataclasses.replace(problem, places=(*problem.places, *ends))
-    across, aside = (leg_tops(problem, [Move(0, 0, count + number)])[0] for number in (0, 1))
+    across, aside = (leg_tops(problem, [Move(0, 0, count + n)], looks_between=False)[0] for n in (0, 1))
     assert across.carried_mm == pytest.approx(110.0 + 3 * 0.1**0.5)
     assert aside.carried_mm == 0.0
     assert aside.away_mm == pytest.approx(60.0 + 3 * 0.1**0.5)
@@ -122,13 +122,27 @@ def test_the_validator_refuses_a_leg_that_is_too_low() -> None:
     answer = _plan([workpiece(0, (450, -100), 60), workpiece(1, (450, 100), 20)])
     problem, moves = answer.table.problem, answer.relocation.moves
     tops = [move.tops for move in answer.moves]
-    assert validate_legs(problem, moves, tops) == []
+    assert validate_legs(problem, moves, tops, looks_between=False) == []
     for number, leg in itertools.product(range(len(moves)), ("to_pick_mm", "carried_mm", "away_mm")):
         changed = list(tops)
         changed[number] = dataclasses.replace(tops[number], **{leg: getattr(tops[number], leg) - 1.0})
         under_nothing = getattr(tops[number], leg) == 0.0
         first = (number, leg) == (0, "to_pick_mm")  # comes from the observe pose, above more than is under it
-        assert under_nothing or first or validate_legs(problem, moves, changed)
+        assert under_nothing or first or validate_legs(problem, moves, changed, looks_between=False)
+
+
+def test_a_hand_that_looks_after_every_move_comes_from_above_everything_and_leaves_straight_up() -> None:
+    parts = [workpiece(0, (450, -100), 60), workpiece(1, (450, 100), 110), workpiece(2, (600, 200), 20)]
+    looking = dataclasses.replace(HAND, looks_between=True)
+    problem, moves = _plan(parts).table.problem, _plan(parts).relocation.moves
+    answer = plan_relocation(parts, PARAMETERS, WORKSPACE, hand=looking)
+    assert len(answer.moves) > 1
+    assert [move.tops.to_pick_mm for move in answer.moves] == pytest.approx([110.0 + 3 * 0.1**0.5] * len(answer.moves))
+    tops = leg_tops(problem, moves, looks_between=True)
+    assert validate_legs(problem, moves, tops, looks_between=True) == []
+    for number, height in enumerate(tops):
+        lower = [*tops[:number], dataclasses.replace(height, away_mm=height.away_mm - 1.0), *tops[number + 1 :]]
+        assert validate_legs(problem, moves, lower, looks_between=True)
 
 
 def test_a_part_of_unknown_shape_is_taken_for_as_high_as_any() -> None:

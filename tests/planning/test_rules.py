@@ -90,7 +90,7 @@ def test_element_change_puts_a_substitute_where_the_rejected_one_stood() -> None
     assert "workpiece 1 is rejected: its height 20.0 mm is outside 30 to 100 mm" in answer.relocation.reasons
     with pytest.raises(AlarmError) as caught:
         plan_relocation(parts[:3], PARAMETERS, WORKSPACE, rule)
-    assert "1 workpieces are rejected, but 0 of kind cuboid are in stock" in caught.value.detail
+    assert "1 workpieces are rejected and 0 places are vacant, but 0 of kind cuboid are in stock" in caught.value.detail
 
 
 def test_the_config_names_the_rule() -> None:

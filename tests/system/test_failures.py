@@ -1,5 +1,6 @@
 """What a real cell meets: the daemon killed, the wire cut, the camera gone. Real processes, real sockets."""
 
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -56,7 +57,9 @@ def test_nothing_moves_before_an_operator_commands(cell: SimulatedCell) -> None:
     assert cell.control.ask("truth")["motions_started"] == 0
 
 
-def test_killed_in_mid_job_it_never_sends_a_move_again(cell: SimulatedCell) -> None:
+def test_killed_in_mid_plan_it_sends_no_move_again_and_plans_anew_after_a_person_has_looked(
+    cell: SimulatedCell,
+) -> None:
     start_until_holding(cell)
     cell.daemon.kill()
     motions = cell.control.ask("truth")["motions_started"]
@@ -74,8 +77,25 @@ def test_killed_in_mid_job_it_never_sends_a_move_again(cell: SimulatedCell) -> N
             "the gripper's own sensor says otherwise"
         )
         assert client.command("resolve", {"gripper": "holding"})["accepted"]
-        assert client.command("command/clear")["accepted"]
-    assert cell.control.ask("truth")["motions_started"] <= motions + 1, "only the move under way may have begun"
+        bring_up(restarted)
+        moved = cell.control.ask("truth")["motions_started"]
+        assert moved <= motions + 1, "only the move under way may have begun"
+        assert client.command("command/start")["accepted"]
+        status = follow(restarted, lambda status: status["state"] in {"Complete", "Held", "Aborted", "Stopped"})
+        assert status["state"] == "Complete", status["alarms"]
+        begun = [
+            event["name"]
+            for event in reversed(client.read("history?limit=1000")["history"])
+            if event["kind"] == "step" and event["detail"]["phase"] == "begin" and event["run"] == status["job"]
+        ]
+        looked = ["observe_left", "move_laterally", "observe_right", "perceive"]
+        assert begun[:6] == ["rise", "deliver", *looked], "something moved on that was not looked at anew"
+        assert begun.index("plan") < begun.index("pick")
+    heights_mm = [
+        part["height_mm"]
+        for part in sorted(cell.control.ask("truth")["parts"], key=lambda part: -float(part["base_mm"][1]))
+    ]
+    assert all(later < earlier + 2.0 for earlier, later in itertools.pairwise(heights_mm))
 
 
 def test_a_cut_wire_ends_in_a_named_alarm_and_aborted(cell: SimulatedCell) -> None:

@@ -1,0 +1,140 @@
+"""Where every workpiece should stand by now, against what a look has really seen. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from srvs_cell.geometry import wrap_angle_deg
+from srvs_cell.planning import footprint_centroid_mm
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from srvs_cell.config import ToleranceParameters
+    from srvs_cell.geometry import Array
+    from srvs_cell.planning import CellPlan
+    from srvs_cell.scene import Point2, Workpiece
+
+_HALF_TURN_DEG, _QUARTER_DEG = 180.0, 90.0
+_OBLONG = 1.2
+"""Length over width from which on long and short side are not mistaken for each other."""
+_SAME_POINT_MM = 1e-6
+_NO_PAIR_MM = 1e6
+_BIN_MM = 50.0
+"""Nearer than this to a bin's point a part lies in the bin, however it fell."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """A workpiece and the point where its footprint's centroid should be; in a bin it need not be seen."""
+
+    workpiece: Workpiece
+    point_mm: Point2
+    in_bin: bool = False
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a look says of what was expected.
+
+    Attributes:
+        errors_mm: per expected workpiece, how far from its point it is seen; None where it is not seen there.
+        changes: what is not as expected, one line for each part; empty where all is.
+        added_mm: where parts stand that nobody expected.
+    """
+
+    errors_mm: dict[int, float | None]
+    changes: tuple[str, ...]
+    added_mm: tuple[Point2, ...]
+
+
+def expected_now(
+    plan: CellPlan, workpieces: Sequence[Workpiece], offsets_mm: Mapping[int, Point2]
+) -> tuple[Expected, ...]:
+    """Return where everything should stand that the plan was made from, after the moves that were carried out.
+
+    Args:
+        plan: the plan.
+        workpieces: what was perceived before it.
+        offsets_mm: how far each workpiece has been carried since.
+    """
+    bins_mm = [goal.point_mm for goal in plan.goals if not goal.visible]
+    found = []
+    for workpiece in workpieces:
+        x_mm, y_mm = footprint_centroid_mm(workpiece.footprint_mm)
+        dx_mm, dy_mm = offsets_mm.get(workpiece.id, (0.0, 0.0))
+        point_mm = (x_mm + dx_mm, y_mm + dy_mm)
+        in_bin = any(math.dist(point_mm, bin_mm) < _SAME_POINT_MM for bin_mm in bins_mm)
+        found.append(Expected(workpiece, point_mm, in_bin))
+    return tuple(found)
+
+
+def compare(expected: Sequence[Expected], seen: Sequence[Workpiece], tolerance: ToleranceParameters) -> Comparison:
+    """Compare what is seen with what is expected.
+
+    A workpiece stands as expected where one of its height is seen within ``verify_mm`` of its point, not turned by more
+    than ``verify_deg``. Of the others, those of equal height are taken for the same one, moved.
+    """
+    points_mm = [footprint_centroid_mm(workpiece.footprint_mm) for workpiece in seen]
+    shape = (len(expected), len(seen))
+    distance_mm = np.array([[math.dist(each.point_mm, point) for point in points_mm] for each in expected])
+    turned_deg = np.array([[_turned_deg(each.workpiece, other) for other in seen] for each in expected])
+    higher_mm = np.array([[other.height_mm - each.workpiece.height_mm for other in seen] for each in expected])
+    distance_mm, turned_deg = distance_mm.reshape(shape), turned_deg.reshape(shape)
+    alike = np.abs(higher_mm.reshape(shape)) <= tolerance.verify_height_mm
+    here = (distance_mm <= tolerance.verify_mm) & (turned_deg <= tolerance.verify_deg)
+    standing = _pairs(distance_mm, alike & here)
+    missed = [i for i, each in enumerate(expected) if i not in standing and not each.in_bin]
+    bins_mm = [each.point_mm for each in expected if each.in_bin]
+    strange = [
+        j
+        for j, point_mm in enumerate(points_mm)
+        if j not in standing.values() and not any(math.dist(point_mm, bin_mm) < _BIN_MM for bin_mm in bins_mm)
+    ]
+    moved = _pairs(distance_mm[np.ix_(missed, strange)], alike[np.ix_(missed, strange)])
+    changes = []
+    for row, i in enumerate(missed):
+        where = f"workpiece {expected[i].workpiece.id} ({expected[i].workpiece.kind})"
+        if row not in moved:
+            changes.append(f"{where} is not seen at {_text(expected[i].point_mm)} or anywhere else")
+            continue
+        j = strange[moved[row]]
+        how = f"{distance_mm[i, j]:.1f} mm from {_text(expected[i].point_mm)}, at {_text(points_mm[j])}"
+        turned = f", turned by {turned_deg[i, j]:.0f} deg" if turned_deg[i, j] > tolerance.verify_deg else ""
+        changes.append(f"{where} is {how}{turned}")
+    added = [j for column, j in enumerate(strange) if column not in moved.values()]
+    changes += [f"a {seen[j].kind} part stands at {_text(points_mm[j])} that was not there" for j in added]
+    return Comparison(
+        {
+            each.workpiece.id: round(float(distance_mm[i, standing[i]]), 3) if i in standing else None
+            for i, each in enumerate(expected)
+        },
+        tuple(changes),
+        tuple(points_mm[j] for j in added),
+    )
+
+
+def _pairs(distance_mm: Array, allowed: NDArray[np.bool_]) -> dict[int, int]:
+    """Return row -> column of the allowed pairs with the least sum of distances."""
+    cost_mm = np.where(allowed, distance_mm, _NO_PAIR_MM)
+    rows, columns = linear_sum_assignment(cost_mm)
+    return {int(i): int(j) for i, j in zip(rows, columns, strict=True) if allowed[i, j]}
+
+
+def _turned_deg(one: Workpiece, other: Workpiece) -> float:
+    """Return by how much two sightings of a part differ in yaw; 0 where one of them has none."""
+    if one.yaw_deg is None or other.yaw_deg is None:
+        return 0.0
+    oblong = all(part.size_mm[0] > _OBLONG * part.size_mm[1] for part in (one, other))
+    return abs(wrap_angle_deg(one.yaw_deg - other.yaw_deg, _HALF_TURN_DEG if oblong else _QUARTER_DEG))
+
+
+def _text(point_mm: Point2) -> str:
+    return f"({point_mm[0]:.1f}, {point_mm[1]:.1f})"
