@@ -12,7 +12,7 @@ import structlog
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.journal import GripperKnowledge
-from srvs_cell.cell.recovery import Recovery, StepName, decide
+from srvs_cell.cell.recovery import CARRYING, Recovery, StepName, decide
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -265,6 +265,8 @@ class Job:
             if recovery is Recovery.RETRY:
                 self._steps.appendleft(step)
             elif recovery is Recovery.REOBSERVE:
+                if step.name in CARRYING:
+                    self.warn(Alarm.SCENE_CHANGED, error.detail)
                 # Nothing of the former plan is continued.
                 self._steps = deque(self._start_over())
                 self.progress.plan, self.progress.moves_left = None, 0

@@ -64,7 +64,7 @@ _COMMANDS: dict[Recovery, tuple[Command, ...]] = {
 
 _OBSERVING = frozenset({StepName.OBSERVE_LEFT, StepName.OBSERVE_RIGHT})
 _CAMERA_TROUBLE = frozenset({Alarm.CAMERA_TIMEOUT, Alarm.CAMERA_STALE})
-_CARRYING = frozenset({StepName.PICK, StepName.PLACE})
+CARRYING = frozenset({StepName.PICK, StepName.PLACE})
 _NOT_IN_THE_HAND = frozenset({Alarm.GRIP_EMPTY, Alarm.GRIP_LOST})
 """Felt where the hand is up already: what fell is looked for like anything else that stands where it should not."""
 _BETTER_SEEN_AGAIN = frozenset({Alarm.UNCERTAIN_POSITION, Alarm.PART_LEFT})
@@ -85,7 +85,7 @@ def decide(
     before = attempts.get((step, alarm), 0)
     if step in _OBSERVING and alarm in _CAMERA_TROUBLE and before < retries.frame:
         return Recovery.RETRY
-    if step in _CARRYING and alarm in _NOT_IN_THE_HAND and before < retries.grip:
+    if step in CARRYING and alarm in _NOT_IN_THE_HAND and before < retries.grip:
         return Recovery.REOBSERVE
     if step in _BEFORE_ANY_GRIP and alarm in _BETTER_SEEN_AGAIN and before < retries.look:
         return Recovery.REOBSERVE

@@ -119,11 +119,11 @@ Allowed = Callable[["ProblemObject", Array], NDArray[np.bool_]]
 def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float, allowed: Allowed | None = None) -> Problem:
     """Return the problem with one more buffer place, found on the table.
 
-    The first place is clear, footprints and fingers, for every object that stands wrongly, whatever slot the others
-    stand on by then; further places are so for every object, since one that stands rightly may have to make room.
-    Where the table is too full for that, a place is taken that is clear for one object at least as the table stands
-    now; the search then finds out whether that is enough. Among the clear points the one is taken that makes the
-    shortest detour for one object; the others can go round through its slot (references/planning.md section 3).
+    It is clear, footprints and fingers, for every object, since one that stands rightly may have to make room, whatever
+    slot the others stand on by then. Where the table is too full for that, it is clear for those that stand wrongly, or
+    for one object at least as the table stands now; the search then finds out whether that is enough. Among the clear
+    points the one is taken that makes the shortest detour for one object; the others can go round through its slot
+    (references/planning.md section 3).
 
     Args:
         problem: a rank problem that is not in order yet.
@@ -136,21 +136,20 @@ def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float, allowed:
     """
     misplaced = goal_rule(problem).misplaced(tuple(item.start for item in problem.objects))
     wrong = [problem.objects[item] for item in misplaced] or list(problem.objects)
-    has_buffer = any(place.kind is PlaceKind.BUFFER for place in problem.places)
-    movers = list(problem.objects) if has_buffer else wrong
-    moving = {item.id for item in movers}
-    everywhere = [place.id for place in problem.places]
-    by_then = [_Standing(o, _points(problem, everywhere if o.id in moving else [o.start])) for o in problem.objects]
+    everywhere = _points(problem, [place.id for place in problem.places])
+    now = [_Standing(item, _points(problem, [item.start])) for item in problem.objects]
+    moving = {item.id for item in wrong}
+    by_then = [replace(each, points_mm=everywhere) if each.item.id in moving else each for each in now]
+    anywhere = [replace(each, points_mm=everywhere) for each in now]
     candidates = _by_detour(_grid(workspace, grid_mm), problem, wrong)
-    point = _first_clear(candidates, movers, by_then, problem, workspace, allowed)
+    choices = [(list(problem.objects), anywhere), (wrong, by_then), *(([mover], now) for mover in wrong)]
+    point = None
+    for movers, standings in choices:
+        point = _first_clear(candidates, movers, standings, problem, workspace, allowed)
+        if point is not None:
+            break
     if point is None:
-        now = [_Standing(item, _points(problem, [item.start])) for item in problem.objects]
-        for mover in movers:
-            point = _first_clear(candidates, [mover], now, problem, workspace, allowed)
-            if point is not None:
-                break
-    if point is None:
-        names = ", ".join(item.name for item in movers)
+        names = ", ".join(item.name for item in wrong)
         raise AlarmError(
             Alarm.NO_BUFFER_PLACE,
             f"no point of the workspace ({workspace}) on a grid of {grid_mm:g} mm is clear for any of: {names}.",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from srvs_cell.planning.ample_room import MOST_WITH_ROOM, clear_places, fewest_with_room
 from srvs_cell.planning.clearance import conflict_table, outer_radius_mm
 from srvs_cell.planning.goals import goal_is_possible, goal_rule
 from srvs_cell.planning.moves import after, fewest_moves
@@ -112,6 +113,13 @@ def _solvable(problem: Problem) -> bool:
     table, rule = conflict_table(problem), goal_rule(problem)
     if not goal_is_possible(start, table, rule):
         return False
+    if len(start) <= MOST_WITH_ROOM:
+        anywhere = fewest_with_room(start, table, rule, len(start), _MOST_MOVES_TRIED)
+        if anywhere.proven and anywhere.steps is None:
+            return False
+        room = len(clear_places(start, table, rule))
+        if fewest_with_room(start, table, rule, room, _MOST_MOVES_TRIED).steps is not None:
+            return True
     # A greedy search: that there is a plan is all that is asked.
     found = fewest_moves(start, table, rule, _MOST_MOVES_TRIED, weight=2.0)
     return found.steps is not None

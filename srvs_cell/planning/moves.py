@@ -99,7 +99,7 @@ def fewest_moves(
         if weight == 1.0:
             bound = max(bound, int(estimate))
         if rule.is_reached(arrangement):
-            return MoveSearch(_way_to(arrangement, came_from), weight == 1.0, bound, least)
+            return MoveSearch(way_to(arrangement, came_from), weight == 1.0, bound, least)
         if tried >= max_moves_search:
             return MoveSearch(None, proven=False, bound=bound, explored=least)
         closed.add(arrangement)
@@ -114,7 +114,8 @@ def fewest_moves(
     return MoveSearch(None, proven=True, bound=bound, explored=least)
 
 
-def _way_to(arrangement: Arrangement, came_from: dict[Arrangement, tuple[Arrangement, Step]]) -> tuple[Step, ...]:
+def way_to(arrangement: Arrangement, came_from: dict[Arrangement, tuple[Arrangement, Step]]) -> tuple[Step, ...]:
+    """Return the moves that led to an arrangement."""
     steps: list[Step] = []
     while arrangement in came_from:
         arrangement, step = came_from[arrangement]

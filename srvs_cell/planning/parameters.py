@@ -78,8 +78,8 @@ class PlanningParameters:
         Field(max_length=8, description="x and y of the buffer places; empty: free places are found on the table"),
     ] = ()
     max_found_buffers: Annotated[
-        int, Field(ge=1, le=4, description="buffer places that may be looked for on the table")
-    ] = 2
+        int, Field(ge=1, le=8, description="buffer places that may be looked for on the table")
+    ] = 4
     buffer_grid_mm: Annotated[
         float, Field(ge=2.0, le=100.0, description="grid on which a free buffer place is looked for")
     ] = 10.0

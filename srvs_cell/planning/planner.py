@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from srvs_cell.planning.ample_room import MOST_WITH_ROOM, clear_places, fewest_with_room, with_places
 from srvs_cell.planning.clearance import conflict_table
 from srvs_cell.planning.detours import cycles_between, nested_detours, steps_of_walk
 from srvs_cell.planning.goals import goal_is_possible, goal_rule
@@ -21,7 +22,7 @@ from srvs_cell.scene import Move, PlanStatus, RelocationPlan
 if TYPE_CHECKING:
     from srvs_cell.planning.clearance import ConflictTable
     from srvs_cell.planning.goals import GoalRule
-    from srvs_cell.planning.moves import Arrangement, Step
+    from srvs_cell.planning.moves import Arrangement, MoveSearch, Step
     from srvs_cell.planning.problem import Problem
     from srvs_cell.planning.timing import Timing
     from srvs_cell.planning.travel import Distances
@@ -83,20 +84,58 @@ def _plan(problem: Problem, limits: SearchLimits, legs: Distances) -> Relocation
             return _permutation(start, target, free, table, rule, legs, limits)
     if not goal_is_possible(start, table, rule):
         return _infeasible(rule.lower_bound(start), bound_mm, infeasible_reasons(problem, table, rule, None))
-    found = fewest_moves(start, table, rule, limits.max_moves_search)
-    if found.steps is None and not found.proven:
-        greedy = fewest_moves(start, table, rule, limits.max_moves_search, GREEDY_WEIGHT)
-        capped = f"the search for the fewest moves ended at its cap of {limits.max_moves_search} moves tried"
-        if greedy.steps is None:
-            return _unproven((), legs, found.bound, bound_mm, (f"no plan found: {capped}",))
-        return _unproven(greedy.steps, legs, found.bound, bound_mm, (capped,))
+    found = _fewest_moves(start, table, rule, legs, limits)
+    capped = f"the search for the fewest moves ended at its cap of {limits.max_moves_search} moves tried"
     if found.steps is None:
-        return _infeasible(found.bound, bound_mm, infeasible_reasons(problem, table, rule, found.explored))
+        if found.proven:
+            return _infeasible(found.bound, bound_mm, infeasible_reasons(problem, table, rule, found.explored))
+        return _unproven((), legs, found.bound, bound_mm, (f"no plan found: {capped}",))
+    if not found.proven:
+        return _unproven(found.steps, legs, found.bound, bound_mm, (capped,))
     search = least_travel(start, len(found.steps), table, rule, legs, limits.max_travel_search)
     if search.steps is None:
         short = _short_plan(start, found.steps, table, rule, legs, limits)
         return _unproven(short, legs, found.bound, search.bound_mm, (_travel_capped(limits),))
     return _solved(search.steps, legs)
+
+
+def _fewest_moves(
+    start: Arrangement, table: ConflictTable, rule: GoalRule, legs: Distances, limits: SearchLimits
+) -> MoveSearch:
+    """Search for the fewest moves, first as if there were room enough: that is a bound, and often the answer."""
+    cap = limits.max_moves_search
+    if len(start) > MOST_WITH_ROOM:
+        found, within = fewest_moves(start, table, rule, cap), None
+    else:
+        anywhere = fewest_with_room(start, table, rule, len(start), cap)
+        if anywhere.proven and anywhere.steps is None:
+            return anywhere
+        clear = clear_places(start, table, rule)
+        within = None
+        if clear:
+            search = fewest_with_room(start, table, rule, len(clear), cap)
+            if search.steps is not None:
+                within = with_places(search.steps, start, clear, table, legs)
+                if len(within) <= anywhere.bound:
+                    return replace(search, steps=within)
+        found = fewest_moves(start, table, rule, cap)
+        found = replace(found, bound=max(found.bound, anywhere.bound))
+    if found.steps is None and not found.proven:
+        steps = within or fewest_moves(start, table, rule, cap, GREEDY_WEIGHT).steps
+        return replace(found, steps=steps)
+    return found
+
+
+def moves_with_room(problem: Problem, limits: SearchLimits) -> int | None:
+    """Return a bound on the moves that holds with any number of free places; None: there is no plan even so."""
+    table, rule = conflict_table(problem), goal_rule(problem)
+    start = tuple(item.start for item in problem.objects)
+    if not goal_is_possible(start, table, rule):
+        return None
+    if len(start) > MOST_WITH_ROOM:
+        return rule.lower_bound(start)
+    found = fewest_with_room(start, table, rule, len(start), limits.max_moves_search)
+    return None if found.proven and found.steps is None else found.bound
 
 
 def _infeasible(bound_moves: int, bound_mm: float, reasons: tuple[str, ...]) -> RelocationPlan:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.planning.access import Access
-from srvs_cell.planning.buffers import better_buffer
+from srvs_cell.planning.buffers import better_buffer, find_buffer
 from srvs_cell.planning.explain import what_would_help
 from srvs_cell.planning.legs import LegTops, leg_tops, tallest_mm
-from srvs_cell.planning.planner import has_plan, plan
+from srvs_cell.planning.planner import has_plan, moves_with_room, plan
 from srvs_cell.planning.rules import make_rule
 from srvs_cell.planning.table import TableProblem, accessible, table_problem, with_access
 from srvs_cell.planning.timing import cell_timing
@@ -129,16 +129,7 @@ def plan_relocation(
     answer = task.plan(table)
     found = sum(place.kind is PlaceKind.BUFFER for place in table.problem.places)
     if found and not parameters.buffer_places_mm:
-        for buffers in range(found + 1, parameters.max_found_buffers + 1):
-            if has_plan(answer):
-                break
-            try:
-                wider = task.table(buffers)
-            except AlarmError as error:
-                # One place was found before, so that "infeasible" and its reasons say more than the alarm would.
-                answer = replace(answer, reasons=(*answer.reasons, f"no further buffer place: {error.detail}"))
-                break
-            table, answer = wider, task.plan(wider)
+        table, answer = task.with_more_buffers(table, answer)
         table, answer = task.with_better_buffer(table, answer)
     if answer.status is PlanStatus.INFEASIBLE and task.is_solvable_if_exact(found):
         raise _too_uncertain(answer.reasons, table.notes)
@@ -179,10 +170,33 @@ class _Task:
         timing = cell_timing(table.problem, self._movable(table), self.hand, self.parameters)
         return plan(table.problem, self.parameters.limits, timing)
 
+    def with_more_buffers(self, table: TableProblem, answer: RelocationPlan) -> tuple[TableProblem, RelocationPlan]:
+        """Look for more buffer places while they can save moves, or make a plan possible at all."""
+        movable, access = self._movable(table), self._access()
+        needed = moves_with_room(table.problem, self.parameters.limits)
+        best, wider = (table, answer), table
+        for _ in range(1, self.parameters.max_found_buffers):
+            if needed is None or (has_plan(best[1]) and len(best[1].moves) <= needed):
+                break
+            try:
+                problem = find_buffer(
+                    wider.problem, self.workspace, self.parameters.buffer_grid_mm, accessible(movable, access)
+                )
+            except AlarmError as error:
+                # One place was found before, so that "infeasible" and its reasons say more than the alarm would.
+                if not has_plan(best[1]):
+                    reasons = (*best[1].reasons, f"no further buffer place: {error.detail}")
+                    best = (best[0], replace(best[1], reasons=reasons))
+                break
+            wider = replace(wider, problem=with_access(problem, movable, access))
+            other = self.plan(wider)
+            if not has_plan(best[1]) or (has_plan(other) and len(other.moves) < len(best[1].moves)):
+                best = (wider, other)
+        return best
+
     def with_better_buffer(self, table: TableProblem, answer: RelocationPlan) -> tuple[TableProblem, RelocationPlan]:
         """Move the buffer place that was found to where the plan's ways are shortest, and plan anew, while it helps."""
-        movable = self._movable(table)
-        access = None if self.hand is None else Access(self.hand, self.parameters.arm, self.workspace)
+        movable, access = self._movable(table), self._access()
         for _ in range(_MOST_BUFFERS_TRIED):
             if table.problem.places[-1].kind is not PlaceKind.BUFFER:
                 break
@@ -209,6 +223,9 @@ class _Task:
         except AlarmError:
             return False
         return has_plan(plan(exact.problem, self.parameters.limits))
+
+    def _access(self) -> Access | None:
+        return None if self.hand is None else Access(self.hand, self.parameters.arm, self.workspace)
 
     def _movable(self, table: TableProblem) -> list[Workpiece]:
         by_id = {workpiece.id: workpiece for workpiece in self.workpieces}

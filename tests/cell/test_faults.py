@@ -294,7 +294,7 @@ async def test_grips_that_stay_empty_hold_the_cell(tmp_path: Path) -> None:
     cell.gripper.misses = 100
     async with running(cell):
         assert await run_to_end(cell) == "Held"
-        assert cell.alarms == ["GRIP_EMPTY"]
+        assert cell.alarms == ["SCENE_CHANGED", "GRIP_EMPTY"]
         assert cell.arm.pose.z_mm >= 60.0
 
 

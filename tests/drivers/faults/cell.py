@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, cast
 from drivers.gripper.robot_io import RobotIoGripper, RobotIoGripperConfig
 from drivers.sim.doubles import FakeCamera, World
 from srvs_cell.cell import Command, Devices, Unit
-from tests.cell.support import CALIBRATION, HEIGHT_PX, WIDTH_PX, build, connected, running, seen, three_blocks
+from srvs_cell.config import RetryParameters
+from tests.cell.support import (
+    CALIBRATION,
+    HEIGHT_PX,
+    PARAMETERS,
+    WIDTH_PX,
+    build,
+    connected,
+    running,
+    seen,
+    three_blocks,
+)
 from tests.drivers.fanuc.bench import Bench, bench
 from tests.drivers.fanuc.karel_bench import KarelBench, karel_bench
 from tests.drivers.fanuc.rmi_bench import RmiBench, rmi_bench
@@ -141,7 +152,7 @@ async def wire_cell(
         b.clock.working = working  # type: ignore[method-assign]
         b.clock.busy = lambda: wire_busy() or workers > 0
         world = b.point.world
-        cell = build(folder)
+        cell = build(folder, parameters=replace(PARAMETERS, retries=RetryParameters(grip=0)))
         gripper = make_gripper(b)
         camera = FakeCamera(cast("StepClock", b.clock), (WIDTH_PX, HEIGHT_PX))
         devices = Devices(b.clock, camera, b.arm, gripper)

@@ -107,7 +107,10 @@ TABLE: Final = (
         "It is refused: Modbus closes it, RMI and KAREL report SESSION_HELD to it.",
     ),
     Fault("another_writes_commands", "Another client writes a command during a move", _MOVE, _NOT_KNOWN, None),
-    Fault("part_lost", "The gripper loses the part on the way", _CARRY, _DROPPED, _DROPPED),
+    Fault(
+        "part_lost", "The gripper loses the part on the way", _CARRY, _DROPPED, _DROPPED,
+        "With `cell.retries.grip: 0`; else the cell looks and plans anew as often.",
+    ),
     Fault(
         "robot_heartbeat_frozen", "The robot's heartbeat freezes during a move", _MOVE, _FROZEN, None,
         "KAREL: the program that would stop the arm stands still itself; the move goes on to its target.",
