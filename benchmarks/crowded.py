@@ -30,7 +30,7 @@ from drivers.sim.doubles import World as NoWorld
 from drivers.sim.gripper_geometry import GripperGeometry
 from drivers.sim.imperfections import LEVELS
 from drivers.sim.kinematics import Kinematics
-from drivers.sim.parts import CYLINDER, KINDS
+from drivers.sim.parts import CUBOID, CYLINDER, KINDS, PRISM
 from drivers.sim.scenario import ScenarioParameters, _shape
 from drivers.sim.simulation import OBSERVE_POSE, TABLE_CENTRE_MM
 from drivers.sim.world import World
@@ -59,6 +59,7 @@ HALF_TABLE_MM = (115.0, 145.0)
 GAPS_MM = (4.0, 20.0)
 UNKNOWN_SHARE = 0.1
 GRASP_DEPTH_MM, GRASP_LEAST_MM, WIDEST_MM = 12.0, 3.0, 80.0
+OTHER_TURNS_DEG = {CYLINDER: (90.0, 45.0, 135.0), PRISM: (60.0, 120.0)}
 SIGMA_MM = 0.3
 FALLEN_DEG = 5.0
 GRIP_STEPS, SETTLE_STEPS = 1500, 75
@@ -261,8 +262,15 @@ def _grasp(part: Part, yaw_deg: float, point_mm: tuple[float, float], table_z_mm
         return None, f"too wide: {part.grip_width_mm:.1f} mm"
     wall_mm = float(part.top_centre_mm[2])
     tips_mm = max(GRASP_LEAST_MM, wall_mm - GRASP_DEPTH_MM)
-    closing_deg = (yaw_deg + part.grip_yaw_deg - part.yaw_deg) % 180.0
-    return Grasp((*point_mm, table_z_mm + tips_mm), closing_deg, part.grip_width_mm), ""
+    closing_deg = yaw_deg + part.grip_yaw_deg - part.yaw_deg
+    others = [(turn_deg, part.grip_width_mm) for turn_deg in OTHER_TURNS_DEG.get(part.kind, ())]
+    if part.kind == CUBOID and part.length_mm <= WIDEST_MM:
+        others.append((90.0, part.length_mm))
+    first, *further = (
+        Grasp((*point_mm, table_z_mm + tips_mm), (closing_deg + turn_deg) % 180.0, opening_mm)
+        for turn_deg, opening_mm in [(0.0, part.grip_width_mm), *others]
+    )
+    return replace(first, others=tuple(further)), ""
 
 
 def run_scene(seed: int) -> Result:

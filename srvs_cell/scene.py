@@ -1,12 +1,12 @@
 """What the cell knows of the world: planes, matches, surfaces, workpieces, places, moves, plans.
 
-Frozen values without behaviour. Pixels are (x right, y down) with (0, 0) at the centre of the top left pixel;
+Frozen values. Pixels are (x right, y down) with (0, 0) at the centre of the top left pixel;
 disparity is x_left - x_right, positive; millimetres are in the robot's base frame unless the name says otherwise.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -111,11 +111,18 @@ class Grasp:
         position_mm: TCP position of the grasp, base frame.
         yaw_deg: direction of the jaws' closing motion, from base x towards base y, modulo 180.
         opening_mm: distance of the parts of the jaws that touch, when closed on the workpiece.
+        others: further grasps of the same workpiece, the next best first; they have no others themselves.
     """
 
     position_mm: Point3
     yaw_deg: float
     opening_mm: float
+    others: tuple[Grasp, ...] = ()
+
+    @property
+    def choices(self) -> tuple[Grasp, ...]:
+        """This grasp and the others."""
+        return (replace(self, others=()), *self.others)
 
 
 UNKNOWN_KIND = "unknown"

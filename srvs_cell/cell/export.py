@@ -58,6 +58,7 @@ def plan_json(plan: CellPlan) -> Json:
         "moves": [
             {
                 "workpiece": move.workpiece,
+                "grasp": move.grasp,
                 "from_mm": _rounded(move.from_mm),
                 "to_mm": _rounded(move.to_mm),
                 "tops_mm": _rounded((move.tops.to_pick_mm, move.tops.carried_mm, move.tops.away_mm)),

@@ -52,7 +52,7 @@ class Pick:
         check_certainty(workpiece, job.equipment.parameters.tolerance)
         offset_mm = job.offsets_mm.get(workpiece.id, (0.0, 0.0))
         hand = job.equipment.parameters.hand()
-        at = hand.grasp_pose(workpiece.grasp, offset_mm)
+        at = hand.grasp_pose(workpiece.grasp.choices[self.move.grasp], offset_mm)
         part = held_part(workpiece, self.move, at, hand)
         way, lifted = hand.pick_way(at, _tops(job, self.move))
         evidence: dict[str, object] = {"workpiece": workpiece.id, "kind": workpiece.kind, "grasp": list(at.as_tuple())}

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.planning.clearance import bounds_mm, hand_solids, too_close
+from srvs_cell.planning.clearance import bounds_mm, hand_solids, outer_radius_mm, too_close
 from srvs_cell.planning.goals import goal_rule
 from srvs_cell.scene import Place, PlaceKind
 
@@ -201,8 +201,6 @@ def _first_clear(
         chunk = candidates[begin : begin + _CHUNK]
         for mover in movers:
             chunk = chunk[_inside(mover.footprint, chunk, workspace)]
-            if allowed is not None:
-                chunk = chunk[allowed(mover, chunk)]
             for obstacle in problem.obstacles:
                 at = np.array([[obstacle.x_mm, obstacle.y_mm]])
                 chunk = _without_hits(chunk, mover, obstacle, at, problem.clearance_mm)
@@ -211,6 +209,11 @@ def _first_clear(
                 # The other's fingers come down beside what stands in the buffer place.
                 for solid in _lower_than(standing.item, mover.top_mm):
                     chunk = chunk[~_hit(mover.footprint, solid, chunk, standing.points_mm, 0.0)]
+            # The arm's joints last: they cost most.
+            if allowed is not None and len(chunk):
+                chunk = chunk[allowed(mover, chunk)]
+            if not len(chunk):
+                break
         if len(chunk):
             first: Array = chunk[0]
             return first
@@ -229,7 +232,11 @@ def _without_hits(
 
 def _hit(a: Footprint, b: Footprint, a_at_mm: Array, b_at_mm: Array, clearance_mm: float) -> NDArray[np.bool_]:
     """Return, per point of A (C, 2), whether A is too close to B at any point of B (S, 2)."""
-    close = too_close(a, b, b_at_mm[None, :, :] - a_at_mm[:, None, :], clearance_mm)
+    displacement_mm = b_at_mm[None, :, :] - a_at_mm[:, None, :]
+    # Two oblongs are compared axis by axis, so that their corners may be farther apart than the clearance.
+    reach_mm = outer_radius_mm(a) + outer_radius_mm(b) + math.sqrt(2.0) * clearance_mm
+    close: NDArray[np.bool_] = np.sum(displacement_mm**2, axis=-1) <= reach_mm**2
+    close[close] = too_close(a, b, displacement_mm[close], clearance_mm)
     hit: NDArray[np.bool_] = np.any(close, axis=1)
     return hit
 

@@ -7,7 +7,6 @@ d lies on the border of A + (-B), so that the signed distance of the point d to 
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -111,8 +110,9 @@ def conflict_table(problem: Problem) -> ConflictTable:
         blocked_by.append(tuple(masks))
         grips = [_grip_masks(grip, points, solid, problem.obstacles, others, hits) for grip in item.grips]
         grips = grips or [[0] * count]
-        for grip_masks, place in itertools.product(grips, blocked):
-            grip_masks[place] = NEVER
+        for number, grip_masks in enumerate(grips):
+            for place in blocked.union(item.grips[number].blocked if item.grips else ()):
+                grip_masks[place] = NEVER
         grip_blocked_by.append(tuple(zip(*grips, strict=True)))
     return ConflictTable(
         place_count=count,
@@ -158,7 +158,8 @@ def finger_polygons(grip: FingerGrip) -> tuple[Polygon, Polygon]:
     return sides[0], sides[1]
 
 
-def hand_solids(grip: FingerGrip) -> list[tuple[Polygon, float]]:
+@lru_cache(maxsize=1024)
+def hand_solids(grip: FingerGrip) -> tuple[tuple[Polygon, float], ...]:
     """Return what comes down on a grip: fingers and palm, each with the height that it does not go below."""
     solids = [(finger, grip.bottom_mm) for finger in finger_polygons(grip)]
     if grip.palm is not None:
@@ -166,7 +167,7 @@ def hand_solids(grip: FingerGrip) -> list[tuple[Polygon, float]]:
         # The palm is the "finger" that reaches from the middle to both sides.
         palm = replace(grip, inner_mm=-half, thick_mm=2.0 * half, width_mm=2.0 * grip.palm.half_across_mm)
         solids.append((finger_polygons(palm)[0], grip.palm.bottom_mm))
-    return solids
+    return tuple(solids)
 
 
 def convex_hull(points_mm: Array) -> Array:

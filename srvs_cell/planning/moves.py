@@ -46,6 +46,18 @@ def possible_moves(arrangement: Arrangement, table: ConflictTable) -> Iterator[S
                 yield item, origin, target
 
 
+def free_grips(arrangement: Arrangement, step: Step, table: ConflictTable) -> list[int]:
+    """Return the grips that are free where a move takes its object and where it leaves it."""
+    item, origin, target = step
+    standing = table.standing(arrangement)
+    at_origin, at_target = table.grip_blocked_by[item][origin], table.grip_blocked_by[item][target]
+    return [
+        grip
+        for grip, masks in enumerate(zip(at_origin, at_target, strict=True))
+        if not (masks[0] | masks[1]) & standing
+    ]
+
+
 def after(arrangement: Arrangement, step: Step) -> Arrangement:
     """Return the arrangement after a move."""
     item, _, target = step

@@ -84,6 +84,7 @@ class FingerGrip:
         width_mm: extent of each rectangle across the closing motion.
         bottom_mm: height above the table that the fingers do not go below; what is lower may stand under them.
         palm: what comes down behind the fingers, where that matters.
+        blocked: places where the arm cannot take or leave the object this way.
     """
 
     name: str
@@ -94,6 +95,7 @@ class FingerGrip:
     width_mm: float
     bottom_mm: float = 0.0
     palm: Palm | None = None
+    blocked: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ class ProblemObject:
         grips: ways to take it; the same one at pick and at place. Empty: the fingers need no room.
         name: what reasons call it.
         top_mm: height above the table that it certainly does not exceed; what is higher passes over it.
-        blocked: places where it can be neither picked nor put down, each with the reason.
+        blocked: places where it can be neither picked nor put down in any way, each with the reason.
     """
 
     id: int

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.planning.access import Access
 from srvs_cell.planning.buffers import better_buffer, find_buffer
+from srvs_cell.planning.clearance import conflict_table
 from srvs_cell.planning.explain import what_would_help
 from srvs_cell.planning.legs import LegTops, leg_tops, tallest_mm
+from srvs_cell.planning.moves import after, free_grips
 from srvs_cell.planning.planner import has_plan, moves_with_room, plan
 from srvs_cell.planning.rules import make_rule
 from srvs_cell.planning.table import TableProblem, accessible, table_problem, with_access
@@ -41,12 +43,14 @@ class CellMove:
         workpiece: `Workpiece.id`.
         from_mm, to_mm: x and y of the footprint's centroid on the table, base frame.
         tops: what the hand passes above on its way.
+        grasp: which of the workpiece's grasps is taken, as it was seen: 0 is the best one.
     """
 
     workpiece: int
     from_mm: Point2
     to_mm: Point2
     tops: LegTops
+    grasp: int = 0
 
 
 @dataclass(frozen=True)
@@ -249,9 +253,6 @@ def _cell_plan(table: TableProblem, answer: RelocationPlan, *, looks_between: bo
     if answer.status is PlanStatus.INFEASIBLE:
         helpful = tuple(f"it would help: {change}" for change in what_would_help(problem))
         answer = replace(answer, reasons=(*answer.reasons, *helpful))
-    refusal = validate(problem, answer.moves) if planned else []
-    if refusal:
-        raise AlarmError(Alarm.PLAN_INVALID, f"{'; '.join(refusal)}.")
     points = [(place.x_mm, place.y_mm) for place in problem.places]
     ends = {item.id: item.start for item in problem.objects}
     ends |= {move.object: move.to_place for move in answer.moves}
@@ -259,7 +260,7 @@ def _cell_plan(table: TableProblem, answer: RelocationPlan, *, looks_between: bo
     return CellPlan(
         table=table,
         relocation=replace(answer, reasons=(*answer.reasons, *table.notes)),
-        moves=_cell_moves(problem, answer.moves, table.workpieces, looks_between=looks_between),
+        moves=_cell_moves(problem, answer.moves, table.workpieces, looks_between=looks_between) if planned else (),
         goals=tuple(CellGoal(table.workpieces[i], points[end], end not in bins) for i, end in ends.items())
         if planned
         else (),
@@ -270,26 +271,42 @@ def _cell_plan(table: TableProblem, answer: RelocationPlan, *, looks_between: bo
 def _cell_moves(
     problem: Problem, moves: Sequence[Move], workpieces: Sequence[int], *, looks_between: bool
 ) -> tuple[CellMove, ...]:
-    """Return moves in the cell's terms.
+    """Return moves in the cell's terms, replayed in the validator.
 
     Args:
         problem: the problem.
-        moves: a valid plan of it.
+        moves: a plan of it.
         workpieces: id of the workpiece behind each object.
         looks_between: whether the hand goes to look after every move.
 
     Raises:
-        AlarmError: PLAN_INVALID where the validator finds something higher under a way than the plan says.
+        AlarmError: PLAN_INVALID where the validator refuses a move, its grip, or the heights of its ways.
     """
     points = [(place.x_mm, place.y_mm) for place in problem.places]
     tops = leg_tops(problem, moves, looks_between=looks_between)
-    refusal = validate_legs(problem, moves, tops, looks_between=looks_between)
+    grips = _grips(problem, moves)
+    refusal = [
+        *validate(problem, moves, grips),
+        *validate_legs(problem, moves, tops, looks_between=looks_between),
+    ]
     if refusal:
         raise AlarmError(Alarm.PLAN_INVALID, f"{'; '.join(refusal)}.")
     return tuple(
-        CellMove(workpieces[move.object], points[move.from_place], points[move.to_place], heights)
-        for move, heights in zip(moves, tops, strict=True)
+        CellMove(workpieces[move.object], points[move.from_place], points[move.to_place], heights, grip)
+        for move, heights, grip in zip(moves, tops, grips, strict=True)
     )
+
+
+def _grips(problem: Problem, moves: Sequence[Move]) -> list[int]:
+    """Return for each move the first of its object's grips that has room where it is taken and where it is left."""
+    table = conflict_table(problem)
+    arrangement = tuple(item.start for item in problem.objects)
+    grips = []
+    for move in moves:
+        step = (move.object, move.from_place, move.to_place)
+        grips.append(next(iter(free_grips(arrangement, step, table)), 0))
+        arrangement = after(arrangement, step)
+    return grips
 
 
 def _check_ways(made: CellPlan, workpieces: Sequence[Workpiece], hand: HandMotion, access: Access) -> None:
@@ -303,7 +320,7 @@ def _check_ways(made: CellPlan, workpieces: Sequence[Workpiece], hand: HandMotio
             raise AlarmError(Alarm.PLAN_INVALID, f"Move {number}: workpiece {move.workpiece} has no grasp.")
         x_mm, y_mm = carried.get(move.workpiece, (0.0, 0.0))
         offset_mm = (move.to_mm[0] - move.from_mm[0], move.to_mm[1] - move.from_mm[1])
-        at = hand.grasp_pose(grasp, (x_mm, y_mm))
+        at = hand.grasp_pose(grasp.choices[move.grasp], (x_mm, y_mm))
         pick, lifted = hand.pick_way(at, move.tops)
         place, leave = hand.place_way(hand.release_pose(at, offset_mm), hand.hang_mm(at), move.tops)
         way = [before, pick.above, pick.at, lifted, place.above, place.at, leave.above]

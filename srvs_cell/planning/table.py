@@ -164,7 +164,9 @@ def accessible(
         if workpiece.grasp is None:
             return np.zeros(len(points_mm), dtype=bool)
         offsets_mm = points_mm - np.array(footprint_centroid_mm(workpiece.footprint_mm))
-        return access.mask(workpiece.grasp, offsets_mm, item.top_mm)
+        masks = [access.mask(grasp, offsets_mm, item.top_mm) for grasp in workpiece.grasp.choices]
+        anyhow: NDArray[np.bool_] = np.any(masks, axis=0)
+        return anyhow
 
     return allowed
 
@@ -175,14 +177,19 @@ def with_access(problem: Problem, movable: Sequence[Workpiece], access: Access |
         return problem
     objects = []
     for item, workpiece in zip(problem.objects, movable, strict=True):
-        blocked = []
         here = problem.places[item.start]
+        grasps = () if workpiece.grasp is None else workpiece.grasp.choices
+        why_not: dict[int, list[str]] = {}
         for place in problem.places:
-            if workpiece.grasp is not None and place.reachable:
+            if place.reachable:
                 offset_mm = (place.x_mm - here.x_mm, place.y_mm - here.y_mm)
-                if why := access.why_not(workpiece.grasp, offset_mm, item.top_mm):
-                    blocked.append((place.id, why))
-        objects.append(replace(item, blocked=tuple(blocked)))
+                why_not[place.id] = [access.why_not(grasp, offset_mm, item.top_mm) for grasp in grasps]
+        grips = tuple(
+            replace(grip, blocked=tuple(place for place, reasons in why_not.items() if reasons[number]))
+            for number, grip in enumerate(item.grips)
+        )
+        blocked = tuple((place, reasons[0]) for place, reasons in why_not.items() if reasons and all(reasons))
+        objects.append(replace(item, grips=grips, blocked=blocked))
     return replace(problem, objects=tuple(objects))
 
 
@@ -214,7 +221,7 @@ def _object(
 ) -> ProblemObject:
     """Return the object of a workpiece; with ``uncertain`` workpieces around, room for three sigma is kept."""
     footprint = _relative_polygon(workpiece.footprint_mm, centre_mm)
-    grasps = () if workpiece.grasp is None else (workpiece.grasp,)
+    grasps = () if workpiece.grasp is None else workpiece.grasp.choices
     grips = tuple(_grip(grasp, centre_mm, parameters, hand) for grasp in grasps)
     if uncertain:
         footprint = grown(footprint, footprint_growth_mm(workpiece, parameters.clearance_mm))

@@ -27,7 +27,7 @@ _Shape = tuple[list["Point2"], float]
 """Corner points and a rounding radius around them."""
 
 
-def validate(problem: Problem, plan_moves: Sequence[Move]) -> list[str]:
+def validate(problem: Problem, plan_moves: Sequence[Move], grips: Sequence[int] | None = None) -> list[str]:
     """Replay a plan; return the reasons why it is wrong, empty for a valid plan.
 
     Stops at the first move that cannot be carried out: what would follow it is not defined.
@@ -35,6 +35,7 @@ def validate(problem: Problem, plan_moves: Sequence[Move]) -> list[str]:
     Args:
         problem: the problem that the plan answers.
         plan_moves: moves in order.
+        grips: which of its object's grips each move takes; None: any that has room.
 
     Returns:
         lines such as ``move 3: occupied (place 2 holds object 1)``.
@@ -42,7 +43,7 @@ def validate(problem: Problem, plan_moves: Sequence[Move]) -> list[str]:
     stands = [item.start for item in problem.objects]
     table = _Table(problem)
     for number, move in enumerate(plan_moves, start=1):
-        reason = _wrong_move(problem, stands, table, move)
+        reason = _wrong_move(problem, stands, table, move, None if grips is None else grips[number - 1])
         if reason:
             return [f"move {number}: {reason}"]
         stands[move.object] = move.to_place
@@ -153,7 +154,7 @@ def _radius_mm(item: ProblemObject) -> float:
     return max(*(math.hypot(x, y) + round_mm for x, y in corners), *(math.hypot(x, y) for x, y in hand), 0.0)
 
 
-def _wrong_move(problem: Problem, stands: list[int], table: _Table, move: Move) -> str:
+def _wrong_move(problem: Problem, stands: list[int], table: _Table, move: Move, taken: int | None) -> str:
     if not 0 <= move.object < len(problem.objects):
         return f"bad_object (there is no object {move.object})"
     for place_id in (move.from_place, move.to_place):
@@ -192,7 +193,7 @@ def _wrong_move(problem: Problem, stands: list[int], table: _Table, move: Move) 
                 return f"obstacle_conflict (object {item.id} on place {target.id}, obstacle {number})"
     if item.grips and not any(
         _fingers_free(problem, grip, origin, others) and _fingers_free(problem, grip, target, others)
-        for grip in item.grips
+        for grip in (item.grips if taken is None else item.grips[taken : taken + 1])
     ):
         return f"gripper_blocked (object {item.id} from place {origin.id} to {target.id})"
     return ""
@@ -201,6 +202,8 @@ def _wrong_move(problem: Problem, stands: list[int], table: _Table, move: Move) 
 def _fingers_free(
     problem: Problem, grip: FingerGrip, place: Place, others: Iterable[tuple[ProblemObject, Place]]
 ) -> bool:
+    if place.id in grip.blocked:
+        return False
     if place.kind is PlaceKind.BIN:
         return True
     solids = [(finger, grip.bottom_mm) for finger in _fingers(grip)]

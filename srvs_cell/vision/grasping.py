@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import cv2
@@ -20,8 +21,12 @@ if TYPE_CHECKING:
     from srvs_cell.vision.faces import Face
 
 _HALF_TURN_DEG = 180.0
-_FLAT_NORMAL_DEG = 30.0
-"""From a hexagon's corner to the middle of the next flat."""
+_ROUND_TURNS_DEG = (0.0, 90.0, 45.0, 135.0)
+"""A round part may be gripped from any side: these leave room beside a neighbour wherever it stands."""
+_FLAT_NORMALS_DEG = (30.0, 90.0, 150.0)
+"""From a hexagon's corner to the middles of its flats."""
+_LEVEL_SLOPE = 0.05
+"""A face that rises more is gripped in one way only: its other two walls are of different heights."""
 _PAD_MM = 8.0
 """Half the width of a finger's pad: as far beside its middle it meets a wall, too."""
 _SEAM_MM = 2.0
@@ -67,7 +72,10 @@ def plan_grasp(
         table_z_mm: height of the table.
         parameters: what the gripper can take.
     """
-    return _grasp((face.x_mm, face.y_mm), _choices(face, table_z_mm), covariance_mm2, table_z_mm, parameters)
+    grasp, refusal = _grasp((face.x_mm, face.y_mm), _choices(face, table_z_mm), covariance_mm2, table_z_mm, parameters)
+    if grasp is not None and max(abs(face.slope_u), abs(face.slope_v)) > _LEVEL_SLOPE:
+        grasp = replace(grasp, others=())
+    return grasp, refusal
 
 
 def plan_joint_grasp(
@@ -116,22 +124,28 @@ def _grasp(
     table_z_mm: float,
     parameters: GraspParameters,
 ) -> tuple[Grasp | None, str]:
-    """Return the first choice that the gripper can take, or None and every reason; choices as of `_choices`."""
+    """Return the first choice that the gripper can take, with the others, or None and every reason.
+
+    Choices are as of `_choices`.
+    """
     sigma_mm = float(np.sqrt(np.linalg.eigvalsh(covariance_mm2[:2, :2]).max()))
     if parameters.sigmas * sigma_mm > parameters.tolerance_mm:
         return None, (
             f"position uncertain: {parameters.sigmas:g} sigma are {parameters.sigmas * sigma_mm:.1f} mm, "
             f"the grasp allows {parameters.tolerance_mm:g} mm"
         )
-    refusals = []
+    refusals, grasps = [], []
     for yaw_deg, opening_mm, wall_mm in choices:
         refusal = _refusal(opening_mm, wall_mm, parameters)
-        if not refusal:
-            tip_z_mm = max(table_z_mm + parameters.clearance_mm, table_z_mm + wall_mm - parameters.depth_mm)
-            position = (*centre_mm, tip_z_mm)
-            return Grasp(position, wrap_angle_deg(yaw_deg, _HALF_TURN_DEG) % _HALF_TURN_DEG, opening_mm), ""
-        refusals.append(refusal)
-    return None, "; ".join(refusals)
+        if refusal:
+            refusals.append(refusal)
+            continue
+        tip_z_mm = max(table_z_mm + parameters.clearance_mm, table_z_mm + wall_mm - parameters.depth_mm)
+        closing_deg = wrap_angle_deg(yaw_deg, _HALF_TURN_DEG) % _HALF_TURN_DEG
+        grasps.append(Grasp((*centre_mm, tip_z_mm), closing_deg, opening_mm))
+    if not grasps:
+        return None, "; ".join(refusals)
+    return replace(grasps[0], others=tuple(grasps[1:])), ""
 
 
 def _choices(face: Face, table_z_mm: float) -> list[tuple[float, float, float]]:
@@ -139,9 +153,9 @@ def _choices(face: Face, table_z_mm: float) -> list[tuple[float, float, float]]:
     angle_deg = float(np.rad2deg(face.angle_rad))
     height_mm = face.z_mm - table_z_mm
     if face.figure is Figure.CIRCLE:
-        return [(0.0, face.length_mm, height_mm)]
+        return [(turn_deg, face.length_mm, height_mm) for turn_deg in _ROUND_TURNS_DEG]
     if face.figure is Figure.HEXAGON:
-        return [(angle_deg + _FLAT_NORMAL_DEG, face.width_mm, height_mm)]
+        return [(angle_deg + normal_deg, face.width_mm, height_mm) for normal_deg in _FLAT_NORMALS_DEG]
     # a wall that rises along its length is gripped by its middle, at the centre's height
     across = (angle_deg + 90.0, face.width_mm, height_mm - abs(face.slope_v) * face.width_mm / 2.0)
     along = (angle_deg, face.length_mm, height_mm - abs(face.slope_u) * face.length_mm / 2.0)
