@@ -62,6 +62,11 @@ class Face:
         """Height of the highest corner, base frame."""
         return float(self.corners_mm()[:, 2].max())
 
+    @property
+    def lowest_mm(self) -> float:
+        """Height of the lowest corner, base frame."""
+        return float(self.corners_mm()[:, 2].min())
+
     def normal(self) -> Array:
         """Return the unit normal, shape (3,), base frame, upwards."""
         cos, sin = np.cos(self.angle_rad), np.sin(self.angle_rad)

@@ -39,13 +39,12 @@ _MIN_PIECE_PX = 150
 _MIN_SOLIDITY = 0.85
 _MOST_OF_OUTLINE = 1.5
 """A plane that covers more than this much of the outline it lies in is the table."""
-_BEST = 4
-_BEST_OF_KIND = 2
+_BEST_OF_KIND = 8
 _START_SLOPE = 0.36
 _LEAST_INCLINATION_DEG = 5.0
 _GENTLE_SLOPE = 0.2
 _CORNERS = 3
-_CANDIDATES = 6
+_CANDIDATES = 8
 _SAME_MM = 4.0
 """Fits whose centres are nearer to each other than this came to one place."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -88,7 +87,7 @@ def fit_rising(
             [(float(z_mm), _laid(piece, rig, float(z_mm))) for z_mm in levels]
             for piece in (*grey_pieces(pictures.images[0], outline), *_planes_inside(left, outline))
         ]
-        fits = [fit for seed in seeds for fit in _fits_of(seed, pictures, rig, table_z_mm) if possible(fit)]
+        fits = [fit for fit in _fits_of(seeds, pictures, rig, table_z_mm) if possible(fit)]
         level = min((fit for fit in fits if fit.face.slope_u == 0.0), key=_misfit, default=None)
         inclined = min((fit for fit in fits if _is_inclined(fit)), key=_misfit, default=None)
         best = _better_inclined(level, inclined, pictures, rig, table_z_mm, possible)
@@ -150,15 +149,16 @@ def _is_inclined(fit: FaceFit) -> bool:
 
 
 def _fits_of(
-    seed: list[tuple[float, Array]], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
+    seeds: list[list[tuple[float, Array]]], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
 ) -> list[FaceFit]:
-    """Return the fits that one seed leads to: each figure is scouted at each height, the promising ones are fitted."""
-    inclined = [
+    """Return the fits that seeds lead to: each figure is scouted at each height, the promising ones are fitted."""
+    starts = [
         face
+        for seed in seeds
         for z_mm, border in seed[::_INCLINED_STRIDE]
         for face in inclined_faces(_rectangle(border, z_mm), _START_SLOPE)
     ]
-    starts = [*inclined, *(face for z_mm, border in seed for face in _figures(border, z_mm))]
+    starts += [face for seed in seeds for z_mm, border in seed for face in _figures(border, z_mm)]
     scouted = sorted(_fitted(starts, pictures, rig, table_z_mm, SCOUT), key=_misfit)
     return _fitted([fit.face for fit in _promising(scouted)], pictures, rig, table_z_mm, REACH)
 
@@ -225,15 +225,13 @@ def _laid(border_px: Array, rig: RectifiedRig, z_mm: float) -> Array:
 
 
 def _promising(scouted: list[FaceFit]) -> list[FaceFit]:
-    """Return the best of the scouted fits, and the best of each figure, level and inclined."""
-    kinds: dict[tuple[Figure, bool], int] = {}
-    kept = []
-    for number, fit in enumerate(scouted):
-        kind = (fit.face.figure, fit.face.slope_u != 0.0)
-        kinds[kind] = kinds.get(kind, 0) + 1
-        if number < _BEST or kinds[kind] <= _BEST_OF_KIND:
-            kept.append(fit)
-    return kept
+    """Return the best of the scouted fits of each figure, level and inclined, at different places."""
+    kept: dict[tuple[Figure, bool], list[FaceFit]] = {}
+    for fit in scouted:
+        alike = kept.setdefault((fit.face.figure, fit.face.slope_u != 0.0), [])
+        if len(alike) < _BEST_OF_KIND and all(_apart_mm(fit.face, one.face) > _SAME_MM for one in alike):
+            alike.append(fit)
+    return [fit for alike in kept.values() for fit in alike]
 
 
 def _fitted(

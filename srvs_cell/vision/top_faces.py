@@ -52,6 +52,8 @@ _ALONG_SLOPE = float(np.cos(np.pi / 4.0))
 _START_SLOPE = 0.36
 """20 degrees: from here the edges of inclinations from 5 to 35 degrees are within reach."""
 _SIDES = 4
+_BELOW_TABLE_MM = 3.0
+"""No face reaches into the table by more than heights are wrong."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -321,6 +323,7 @@ def is_top(fit: FaceFit, table_z_mm: float, limits: RecognitionParameters) -> bo
         and limits.min_size_mm <= min(face.length_mm, face.width_mm)
         and max(face.length_mm, face.width_mm) <= limits.max_size_mm
         and limits.min_height_mm <= height_above_mm(face, table_z_mm) <= limits.max_height_mm
+        and face.lowest_mm >= table_z_mm - _BELOW_TABLE_MM
     )
 
 

@@ -109,12 +109,19 @@ def _rising_tops(
         for fit, edges in zip(rising, by_edges, strict=True)
         if edges is not None and edges.rms_px <= limits.max_rms_px
     ]
-    more: list[Top] = []
-    for fit in (both.agreed() for both in sorted(bench.settled(found), key=lambda both: both.misfit_px2)):
-        better = any(share_place(fit, top.fit) and top.fit.rms_px <= fit.rms_px for top in known)
-        if not better and not any(share_place(fit, top.fit) for top in more):
-            more.append(Top(fit, ()))
-    return more
+    places: list[list[Witnesses]] = []
+    for both in sorted(bench.settled(found), key=lambda both: both.misfit_px2):
+        place = next((one for one in places if share_place(both.agreed(), one[0].agreed())), None)
+        if place is None:
+            places.append([both])
+        else:
+            place.append(both)
+    fits = [best.agreed_among(rivals) for best, *rivals in places]
+    return [
+        Top(fit, ())
+        for fit in fits
+        if not any(share_place(fit, top.fit) and top.fit.rms_px <= fit.rms_px for top in known)
+    ]
 
 
 def _outline_px(face: Face, rig: RectifiedRig) -> float:

@@ -35,6 +35,8 @@ _DOUBTFUL_PX2 = 0.08
 """A rectangle whose misfit is less is not asked what else it may be."""
 _CLEAR_GAIN = 0.7
 """Another rectangle must have less than this share of the misfit."""
+_RIVALRY = 4
+"""With this power of the ratio of their misfits a figure that suits worse counts."""
 _ROUNDS = 2
 
 
@@ -79,6 +81,16 @@ class Witnesses:
             rms_px=min(profiles.rms_px, edges.rms_px),
             covariance_mm2=surer.covariance_mm2 + weight * np.outer(apart_mm, apart_mm),
         )
+
+    def agreed_among(self, rivals: Sequence[Witnesses]) -> FaceFit:
+        """Return the same, no surer than how far other figures for this place that suit about as well lie from it."""
+        fit = self.agreed()
+        shares = [(self.misfit_px2 / rival.misfit_px2) ** _RIVALRY for rival in rivals]
+        apart_mm = [_centre(rival.agreed().face) - _centre(fit.face) for rival in rivals]
+        spread = sum(
+            (share * np.outer(one, one) for share, one in zip(shares, apart_mm, strict=True)), np.zeros((3, 3))
+        )
+        return replace(fit, covariance_mm2=fit.covariance_mm2 + spread / (1.0 + sum(shares)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,44 @@
+"""What two fits of one face, and rival figures for its place, leave of its doubt."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from srvs_cell.vision.face_fit import FaceFit
+from srvs_cell.vision.faces import Face, Figure
+from srvs_cell.vision.recognition import RecognitionParameters
+from srvs_cell.vision.top_faces import is_top
+from srvs_cell.vision.witnesses import Witnesses
+
+VARIANCE_MM2 = 0.04
+
+
+def fit(z_mm: float, rms_px: float = 0.2, slope_u: float = 0.0) -> FaceFit:
+    face = Face(Figure.RECTANGLE, 500.0, 0.0, z_mm, 0.0, 40.0, 30.0, slope_u)
+    return FaceFit(face, VARIANCE_MM2 * np.eye(3), rms_px, 1.0)
+
+
+def both(z_mm: float, rms_px: float = 0.2) -> Witnesses:
+    return Witnesses(fit(z_mm, rms_px), fit(z_mm, rms_px))
+
+
+def test_fits_that_agree_leave_their_own_doubt() -> None:
+    assert both(30.0).agreed().covariance_mm2 == pytest.approx(VARIANCE_MM2 * np.eye(3))
+
+
+def test_a_rival_that_suits_as_well_shares_its_distance() -> None:
+    agreed = both(30.0).agreed_among([both(40.0)])
+    assert agreed.face.z_mm == 30.0
+    assert agreed.covariance_mm2[2, 2] == pytest.approx(VARIANCE_MM2 + 100.0 / 2.0)
+    assert agreed.covariance_mm2[0, 0] == pytest.approx(VARIANCE_MM2)
+
+
+def test_a_rival_that_suits_much_worse_counts_for_nothing() -> None:
+    agreed = both(30.0).agreed_among([both(40.0, rms_px=1.0)])
+    assert agreed.covariance_mm2[2, 2] == pytest.approx(VARIANCE_MM2, abs=1e-3)
+
+
+@pytest.mark.parametrize(("slope_u", "possible"), [(0.5, True), (0.8, False)])
+def test_no_face_reaches_into_the_table(slope_u: float, possible: bool) -> None:
+    assert is_top(fit(12.0, slope_u=slope_u), 0.0, RecognitionParameters()) is possible
