@@ -98,6 +98,12 @@ class PlanningParameters:
     acceleration_mm_s2: Annotated[
         float, Field(gt=0.0, le=50_000.0, description="acceleration of the TCP on straight moves, for the time")
     ] = 2000.0
+    wrist_speed_deg_s: Annotated[
+        float, Field(gt=0.0, le=2000.0, description="speed at which the TCP turns on straight moves, for the time")
+    ] = 90.0
+    wrist_acceleration_deg_s2: Annotated[
+        float, Field(gt=0.0, le=20_000.0, description="acceleration of that turn, for the time")
+    ] = 500.0
     grip_time_s: Annotated[
         float, Field(ge=0.0, le=20.0, description="time to open or close the gripper, for the time")
     ] = 0.5

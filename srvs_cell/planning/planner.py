@@ -78,7 +78,7 @@ def _plan(problem: Problem, limits: SearchLimits, legs: Distances) -> Relocation
         if ordering is not None and ordering.steps is not None:
             return _unproven(ordering.steps, legs, ordering.bound, bound_mm, (_MANY_OBJECTS,))
     table = conflict_table(problem)
-    if target is not None and changing_places and table.nothing_in_the_way:
+    if target is not None and changing_places and table.nothing_in_the_way and not legs.round_trips_mm:
         free = [place for place in range(table.place_count) if place not in start]
         if free:
             return _permutation(start, target, free, table, rule, legs, limits)
@@ -242,13 +242,14 @@ def _travel_bound_mm(start: Arrangement, rule: GoalRule, legs: Distances) -> flo
     if not wrong:
         return 0.0
     places = range(len(legs.home_mm))
-    parts = [min(legs.home_mm)]
+    parts = [legs.shortest_home_mm]
     for item in wrong:
         origin = start[item]
         parts += [
-            legs.handling_of_mm(item),
-            min((legs.between_mm[origin][place] for place in places if rule.allowed[item] >> place & 1), default=0.0),
-            min([legs.home_mm[origin], *(legs.between_mm[place][origin] for place in places if place != origin)]),
+            min(
+                (legs.move_mm(item, origin, place) for place in places if rule.allowed[item] >> place & 1), default=0.0
+            ),
+            legs.nearest_mm(origin),
         ]
     return math.fsum(parts)
 

@@ -28,11 +28,17 @@ class Timing:
     Attributes:
         speed_mm_s, acceleration_mm_s2: of straight moves at travel height.
         handling_s: per object, the time of each of its moves besides the level legs: down, grip, up, down, let go, up.
+        looks_between: whether the hand goes home, to where the cell looks from, after every move.
+        rise_mm: how far above travel height that is.
+        turn_s: per object, how long the wrist turns between there and its grasp; empty: it does not turn.
     """
 
     speed_mm_s: float
     acceleration_mm_s2: float
     handling_s: tuple[float, ...]
+    looks_between: bool = False
+    rise_mm: float = 0.0
+    turn_s: tuple[float, ...] = ()
 
     def distances(self, problem: Problem) -> Distances:
         """Return the legs' times, each as the length that the arm goes in that time at travel speed.
@@ -49,15 +55,39 @@ class Timing:
             tuple(tuple(equal_mm(length_mm) for length_mm in row) for row in straight.between_mm),
             tuple(equal_mm(length_mm) for length_mm in straight.home_mm),
             tuple(self.speed_mm_s * seconds for seconds in self.handling_s),
+            self._round_trips_mm(straight) if self.looks_between else (),
+        )
+
+    def _round_trips_mm(self, straight: Distances) -> tuple[tuple[tuple[float, ...], ...], ...]:
+        """Return what moves cost from home to home: aslant down to the pick, level, straight up, and level home."""
+
+        def straight_move_s(length_mm: float) -> float:
+            return straight_s(length_mm, self.speed_mm_s, self.acceleration_mm_s2)
+
+        down_s = [straight_move_s(math.hypot(length_mm, self.rise_mm)) for length_mm in straight.home_mm]
+        home_s = [straight_move_s(length_mm) for length_mm in straight.home_mm]
+        level_s = [[straight_move_s(length_mm) for length_mm in row] for row in straight.between_mm]
+        up_s = straight_move_s(self.rise_mm)
+        places = range(len(home_s))
+        # The TCP goes straight and turns meanwhile: whichever takes longer.
+        return tuple(
+            tuple(
+                tuple(
+                    self.speed_mm_s * (max(down_s[p], turn_s) + level_s[p][q] + up_s + max(home_s[q], turn_s))
+                    for q in places
+                )
+                for p in places
+            )
+            for turn_s in (self.turn_s or (0.0,) * len(self.handling_s))
         )
 
 
-def straight_s(length_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> float:
-    """Return the time of a straight move from stand to stand; a short one never reaches the speed."""
-    ramps_mm = speed_mm_s**2 / acceleration_mm_s2
-    if length_mm < ramps_mm:
-        return 2.0 * math.sqrt(length_mm / acceleration_mm_s2)
-    return length_mm / speed_mm_s + speed_mm_s / acceleration_mm_s2
+def straight_s(length: float, speed: float, acceleration: float) -> float:
+    """Return the time from stand to stand, of a way in millimetres or a turn in degrees; a short one stays slower."""
+    ramps = speed**2 / acceleration
+    if length < ramps:
+        return 2.0 * math.sqrt(length / acceleration)
+    return length / speed + speed / acceleration
 
 
 def cell_timing(
@@ -77,13 +107,23 @@ def cell_timing(
         fast_s = straight_s(above_mm - slow_mm, hand.travel_speed_mm_s, acceleration)
         return fast_s + straight_s(slow_mm, hand.approach_speed_mm_s, acceleration)
 
-    handling_s = []
+    handling_s, turn_s = [], []
     for workpiece in movable:
         if workpiece.grasp is None:
             handling_s.append(0.0)
+            turn_s.append(0.0)
             continue
         at = hand.grasp_pose(workpiece.grasp)
         empty_mm = max(hand.travel_z_mm(top_mm) - at.z_mm, 0.0)
         loaded_mm = max(hand.travel_z_mm(top_mm, hand.hang_mm(at)) - at.z_mm, 0.0)
         handling_s.append(2.0 * (way_s(empty_mm) + way_s(loaded_mm) + parameters.grip_time_s))
-    return Timing(hand.travel_speed_mm_s, acceleration, tuple(handling_s))
+        turn_deg = abs(at.r_deg - hand.observe.r_deg)
+        turn_s.append(straight_s(turn_deg, parameters.wrist_speed_deg_s, parameters.wrist_acceleration_deg_s2))
+    return Timing(
+        hand.travel_speed_mm_s,
+        acceleration,
+        tuple(handling_s),
+        hand.looks_between,
+        max(hand.observe.z_mm - hand.travel_z_mm(top_mm), 0.0),
+        tuple(turn_s),
+    )

@@ -34,19 +34,43 @@ class Distances:
         between_mm: from place to place.
         home_mm: from home (`HOME`) to each place.
         handling_mm: per object, what each of its moves costs besides its legs; empty: nothing.
+        round_trips_mm: per object, from place to place, what a move costs from home and back to home, where the hand
+            goes there after every move; empty: it goes from place to place.
     """
 
     between_mm: tuple[tuple[float, ...], ...]
     home_mm: tuple[float, ...]
     handling_mm: tuple[float, ...] = ()
+    round_trips_mm: tuple[tuple[tuple[float, ...], ...], ...] = ()
 
     def handling_of_mm(self, item: int) -> float:
         """Return what each move of an object costs besides its legs."""
         return self.handling_mm[item] if self.handling_mm else 0.0
 
     def leg_mm(self, origin: int, target: int) -> float:
-        """Return the length of the leg from a place or `HOME` to a place."""
+        """Return the length of the empty leg from a place or `HOME` to a place; round trips hold it already."""
+        if self.round_trips_mm:
+            return 0.0
         return self.home_mm[target] if origin == HOME else self.between_mm[origin][target]
+
+    def move_mm(self, item: int, origin: int, target: int) -> float:
+        """Return what a move costs without the empty leg to it."""
+        loaded_mm = self.round_trips_mm[item] if self.round_trips_mm else self.between_mm
+        return loaded_mm[origin][target] + self.handling_of_mm(item)
+
+    def nearest_mm(self, place: int) -> float:
+        """Return the shortest empty leg to a place from any other, or from home."""
+        others = range(len(self.home_mm))
+        return min(self.leg_mm(origin, place) for origin in (HOME, *others) if origin != place)
+
+    def way_home_mm(self, hand: int) -> float:
+        """Return the length of the last leg."""
+        return 0.0 if hand == HOME or self.round_trips_mm else self.home_mm[hand]
+
+    @property
+    def shortest_home_mm(self) -> float:
+        """The shortest last leg from any place."""
+        return min(self.way_home_mm(place) for place in range(len(self.home_mm)))
 
 
 def distances(problem: Problem) -> Distances:
@@ -62,9 +86,9 @@ def travel_mm(steps: tuple[Step, ...], legs: Distances) -> float:
     """Return home -> pick -> place ... -> home of a plan; 0 without moves."""
     hand, total_mm = HOME, 0.0
     for item, origin, target in steps:
-        total_mm += legs.leg_mm(hand, origin) + legs.between_mm[origin][target] + legs.handling_of_mm(item)
+        total_mm += legs.leg_mm(hand, origin) + legs.move_mm(item, origin, target)
         hand = target
-    return total_mm + (0.0 if hand == HOME else legs.home_mm[hand])
+    return total_mm + legs.way_home_mm(hand)
 
 
 @dataclass(frozen=True)
@@ -123,13 +147,13 @@ def least_travel(
         so_far_mm = cost_mm[node]
         for step, successor in successors.of(node.arrangement, node.depth):
             item, pick, target = step
-            following = _Node(successor, target, node.depth + 1)
-            move_mm = legs.leg_mm(node.hand, pick) + legs.between_mm[pick][target] + legs.handling_of_mm(item)
-            total_mm = so_far_mm + move_mm
+            hand = HOME if legs.round_trips_mm else target
+            following = _Node(successor, hand, node.depth + 1)
+            total_mm = so_far_mm + legs.leg_mm(node.hand, pick) + legs.move_mm(item, pick, target)
             if total_mm < cost_mm.get(following, math.inf):
                 cost_mm[following] = total_mm
                 came_from[following] = (node, step)
-                rest_mm = successors.rest_mm(successor, target)
+                rest_mm = successors.rest_mm(successor, hand)
                 heappush(queue, (total_mm + weight * rest_mm, -next(order), following))
     return TravelSearch(None, bound_mm)
 
@@ -159,16 +183,13 @@ class _Successors:
         self._table = table
         self._rule = rule
         places = range(table.place_count)
-        self._nearest_mm = [min([legs.home_mm[p], *(legs.between_mm[q][p] for q in places if q != p)]) for p in places]
+        self._nearest_mm = [legs.nearest_mm(place) for place in places]
         self._to_goal_mm = [
-            [
-                legs.handling_of_mm(item) + min((legs.between_mm[p][q] for q in places if mask >> q & 1), default=0.0)
-                for p in places
-            ]
+            [min((legs.move_mm(item, p, q) for q in places if mask >> q & 1), default=0.0) for p in places]
             for item, mask in enumerate(rule.allowed)
         ]
-        self._home_mm = legs.home_mm
-        self._shortest_home_mm = min(legs.home_mm)
+        self._legs = legs
+        self._shortest_home_mm = legs.shortest_home_mm
         self.looks = 0
         self._known: dict[tuple[Arrangement, int], list[tuple[Step, Arrangement]]] = {}
         self._moves_left: dict[Arrangement, int] = {}
@@ -214,7 +235,7 @@ class _Successors:
         if hand == HOME:
             return known_mm + self._shortest_home_mm
         if self._rule.is_reached(arrangement):
-            return self._home_mm[hand]
+            return self._legs.way_home_mm(hand)
         in_hand_place = any(
             place == hand and not self._rule.allowed[item] >> hand & 1 for item, place in enumerate(arrangement)
         )

@@ -84,3 +84,39 @@ def test_the_cell_plans_for_time_unless_told_otherwise() -> None:
     assert quick.time_s > quick.travel_mm / 250.0 + 3 * (2 * 0.5 + 4 * 60.0 / 80.0)
     short = PlanningParameters(home_mm=(450.0, 0.0), objective="length")
     assert plan_cell(parts, short, workspace, hand=HAND).relocation.time_s is None
+
+
+def _round_trip_s(problem: Problem, timing: Timing, item: int, origin: int, target: int) -> float:
+    """Return the time of a move from home to home, leg by leg."""
+
+    def leg_s(*gap_mm: float) -> float:
+        return straight_s(math.hypot(*gap_mm), SPEED_MM_S, ACCELERATION_MM_S2)
+
+    (x, y), p, q = problem.home_mm, problem.places[origin], problem.places[target]
+    down_s = max(leg_s(p.x_mm - x, p.y_mm - y, timing.rise_mm), timing.turn_s[item])
+    home_s = max(leg_s(q.x_mm - x, q.y_mm - y), timing.turn_s[item])
+    return down_s + leg_s(p.x_mm - q.x_mm, p.y_mm - q.y_mm) + leg_s(timing.rise_mm) + home_s + timing.handling_s[item]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_with_a_look_after_every_move_the_least_time_is_that_of_the_best_of_all_first_movers(seed: int) -> None:
+    problem, timing = _permutation(4, seed, [1, 2, 3, 0])
+    timing = dataclasses.replace(timing, looks_between=True, rise_mm=200.0, turn_s=(0.2, 5.0, 1.0, 3.0))
+    answer = plan(problem, timing=timing)
+    assert answer.status is PlanStatus.SOLVED
+    direct_s = [_round_trip_s(problem, timing, item, item, (item + 1) % 4) for item in range(4)]
+    twice_s = [
+        _round_trip_s(problem, timing, item, item, 4) + _round_trip_s(problem, timing, item, 4, (item + 1) % 4)
+        for item in range(4)
+    ]
+    least_s = min(sum(direct_s) - direct_s[item] + twice_s[item] for item in range(4))
+    assert answer.time_s == pytest.approx(least_s)
+    assert answer.bound_time_s == pytest.approx(least_s)
+
+
+def test_a_part_for_which_the_wrist_turns_long_is_not_moved_twice() -> None:
+    problem, timing = _permutation(2, 3, [1, 0])
+    for slow in (0, 1):
+        turn_s = tuple(20.0 if item == slow else 0.0 for item in (0, 1))
+        answer = plan(problem, timing=dataclasses.replace(timing, looks_between=True, turn_s=turn_s))
+        assert [move.object for move in answer.moves] == [1 - slow, slow, 1 - slow]
