@@ -86,7 +86,9 @@ def _object_reason(
     if not _free_places(problem, table):
         return f"belongs on {goal_text}, but every place is taken and there is no free buffer place to begin with"
     seen = {arrangement[item] for arrangement in explored}
-    count = len(explored)
+    looked = f"all {len(explored)} arrangements that can be reached were looked at"
+    if any(table.place_count in arrangement for arrangement in explored):
+        looked += ", with a free place for whoever needs one"
     fixed = {other for other in range(len(problem.objects)) if _never_moves(problem, other, explored)}
     fingers = _in_the_way_of_fingers(problem, table, item, origin, fixed)
     if fingers:
@@ -97,14 +99,12 @@ def _object_reason(
         return f"belongs on {goal_text}, taken by {problem.objects[holder].name}, which cannot leave{why}"
     blockers = _blockers(problem, table, item, [origin])
     if seen == {origin}:
-        return f"can never leave {here}{blockers}; all {count} arrangements that can be reached were looked at"
+        return f"can never leave {here}{blockers}; {looked}"
     if not seen & set(goals):
         blockers = _blockers(problem, table, item, goals)
-        return f"never gets to {goal_text}{blockers}; all {count} arrangements that can be reached were looked at"
-    return (
-        f"can get to {goal_text}, but never while the others stand where they belong; "
-        f"all {count} arrangements that can be reached were looked at"
-    )
+        return f"never gets to {goal_text}{blockers}; {looked}"
+    blockers = _goal_blockers(problem, table, rule, item, goals)
+    return f"can get to {goal_text}, but never while the others stand where they belong{blockers}; {looked}"
 
 
 def _never_moves(problem: Problem, item: int, explored: dict[Arrangement, int]) -> bool:
@@ -143,6 +143,20 @@ def _goal_neighbour(problem: Problem, table: ConflictTable, rule: GoalRule, item
         if all(table.blocked_by[item][place] & bit for place in goals):
             return other.name
     return None
+
+
+def _goal_blockers(problem: Problem, table: ConflictTable, rule: GoalRule, item: int, goals: list[int]) -> str:
+    """Name the objects that hinder the hand, or have no room beside the object, where they have to end."""
+    names = []
+    for other in problem.objects:
+        ends = [table.bit(other.id, place) for place in range(table.place_count) if rule.allowed[other.id] >> place & 1]
+        if other.id != item and all(
+            any(mask & bit for mask in (table.blocked_by[item][place], *table.grip_blocked_by[item][place]))
+            for place in goals
+            for bit in ends
+        ):
+            names.append(other.name)
+    return f" (in the way there: {', '.join(names)})" if names else ""
 
 
 def _free_places(problem: Problem, table: ConflictTable) -> list[int]:
