@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from srvs_cell.ports import Camera
 
 _STEP_S = 0.002
+_ARM_SPEED = 5.0
+"""Times faster than life: a robot's watchdog of 2 s must not notice that this machine does something else, too."""
 _LAG_S = 0.1
 _QUEUE = 4
 
@@ -100,7 +102,7 @@ def simulated_arm(
         world.step()
         return world.time_s
 
-    time = SimTime(step, page, 20.0)
+    time = SimTime(step, page, _ARM_SPEED)
     kinematics = Kinematics(gripper.flange_to_tcp_mm)
     arm = SimArm(time, world, kinematics, OBSERVE_POSE, Repeatability(), np.random.default_rng(0))
     controller = make_controller(arm, time)
