@@ -33,7 +33,7 @@ from benchmarks.scene_truth import depth_mm, true_disparity
 from srvs_cell.scene import Perception, PlaneImage
 from srvs_cell.vision import VisionParameters, perceive
 from srvs_cell.vision.line_matching import LineMatchingParameters
-from srvs_cell.vision.lines import BaselineParameters, line_samples, perceive_lines
+from srvs_cell.vision.lines import BaselineParameters, line_disparity_map, line_samples, perceive_lines
 from srvs_cell.vision.rectification import rectify_pair
 
 if TYPE_CHECKING:
@@ -61,8 +61,13 @@ ANGLES_DEG = (0.0, 5.0, 10.0, 20.0, 45.0, 90.001)
 CORNER_SHIFTS_PX = (0.0, 6.0, 24.0)
 ROW_SHIFTS_PX = (1, 2, 3)
 PAPER_RATIO = 171.0 / 42.0
-FEATURES = ("filtering", "thinning", "tracking", "region_growing", "plane_parameters", "line_parameters")
-MATCHING = ("matching", "interpolation", "refinement", "grouping")
+STAGES = {
+    "edges": ("edges",),
+    "features": ("filtering", "thinning", "tracking", "region_growing", "plane_parameters", "line_parameters"),
+    "matching": ("matching",),
+    "disparity": ("interpolation", "refinement", "grouping"),
+}
+"""Steps of the two methods that do the same for each. The lines' matching includes the disparities of their ends."""
 ROWS_ALONE = BaselineParameters(matching=LineMatchingParameters(near_horizontal_deg=0.1))
 METHODS = ("planes", "planes, paper", "lines")
 
@@ -192,32 +197,45 @@ def _vision(pair: Pair, *, faithful: bool = False) -> VisionParameters:
 
 
 def print_times(pairs: Sequence[Pair], repeats: int) -> None:
-    """CPU time of each method, with the edges that both share apart."""
-    print(f"\nTime, CPU ms, one thread, median of {repeats}; paper: lines / planes = {PAPER_RATIO:.2f}")
-    print(f"{'set':<10}{'method':<16}{'features':>9}{'edges':>8}{'params':>8}{'match':>8}{'sum':>8}{'planes = 1':>11}")
+    """CPU time of each method by stages, and the pixels that it gives a disparity."""
+    print(f"\nTime, CPU ms a pair, one thread, median of {repeats}; paper: lines / planes = {PAPER_RATIO:.2f}")
+    print(f"{'set':<10}{'method':<16}{'found':>7}" + "".join(f"{stage:>11}" for stage in STAGES) + f"{'pixels':>9}")
+    ratios = {}
     for group in dict.fromkeys(pair.group for pair in pairs):
-        sums = {}
+        figures = {}
         for method in METHODS:
-            figures = [_time(method, pair, repeats) for pair in pairs if pair.group == group]
-            counts, edges, features, matching = np.mean(figures, axis=0)
-            sums[method] = edges + features + matching
-            ratio = sums[method] / sums["planes"]
-            print(
-                f"{group:<10}{method:<16}{counts:>9.0f}{edges:>8.1f}{features:>8.1f}{matching:>8.1f}"
-                f"{sums[method]:>8.1f}{ratio:>11.2f}"
-            )
+            measured = [_time(method, pair, repeats) for pair in pairs if pair.group == group]
+            figures[method] = count, *times, pixels = np.mean(measured, axis=0).tolist()
+            columns = "".join(f"{time_ms:>11.2f}" for time_ms in times)
+            print(f"{group:<10}{method:<16}{count:>7.0f}{columns}{pixels:>9.0f}")
+        for method in METHODS[:-1]:
+            ratios[group, method] = _ratios(figures["lines"], figures[method])
+    print("\nTime of the lines over that of the planes")
+    print(f"{'set':<10}{'method':<16}{'whole':>11}{'after edges':>13}{'matching':>11}{'a pixel with disparity':>24}")
+    for (group, method), (whole, after, matching, pixel) in ratios.items():
+        print(f"{group:<10}{method:<16}{whole:>11.2f}{after:>13.2f}{matching:>11.2f}{pixel:>24.2f}")
 
 
-def _time(method: str, pair: Pair, repeats: int) -> tuple[float, float, float, float]:
-    """Return the features of both images, and the ms of edges, features and matching."""
+def _ratios(lines: Sequence[float], planes: Sequence[float]) -> tuple[float, float, float, float]:
+    """Return lines over planes: all stages, those after the edges, matching alone, all per pixel with a disparity."""
+    (_, *line_ms, line_pixels), (_, *plane_ms, plane_pixels) = lines, planes
+    whole, after, matching = (
+        sum(line_ms[stages]) / sum(plane_ms[stages]) for stages in (slice(None), slice(1, None), slice(2, 3))
+    )
+    return whole, after, matching, whole * plane_pixels / line_pixels
+
+
+def _time(method: str, pair: Pair, repeats: int) -> tuple[float, ...]:
+    """Return the features of both images, the ms of each stage, and how many left pixels have a disparity."""
     runs = [run(method, pair) for _ in range(repeats)]
     images = (runs[0].left, runs[0].right)
     count = sum(len(image.planes) if isinstance(image, PlaneImage) else len(image) for image in images)
+    found = runs[0].disparity_px if isinstance(runs[0], Perception) else line_disparity_map(runs[0])
 
     def median(steps: Sequence[str]) -> float:
         return statistics.median(sum(each.timings_ms.get(step, 0.0) for step in steps) for each in runs)
 
-    return float(count), median(("edges",)), median(FEATURES), median(MATCHING)
+    return float(count), *(median(steps) for steps in STAGES.values()), float(np.isfinite(found).sum())
 
 
 def print_matches(pairs: Sequence[Pair]) -> None:
