@@ -53,12 +53,22 @@ def plan_right_pose(calibration: Calibration, base_T_tcp_left: Transform, baseli
     """
     if not baseline_mm >= MIN_PLANNED_MM:
         raise AlarmError(Alarm.BASELINE_INVALID, f"baseline_mm = {baseline_mm:g}: must be at least {MIN_PLANNED_MM:g}.")
-    camera_x = (base_T_tcp_left @ calibration.tcp_T_camera).rotation[:, 0]
+    return moved_aside(calibration, base_T_tcp_left, baseline_mm, 0.0)
+
+
+def moved_aside(calibration: Calibration, base_T_tcp: Transform, along_mm: float, across_mm: float) -> Transform:
+    """Return the TCP pose from which the camera has moved along its own x and y axes, without rotation.
+
+    Args:
+        calibration: for the hand-eye transform.
+        base_T_tcp: Transform("base", "tcp") before.
+        along_mm: along the camera's x axis.
+        across_mm: along its y axis.
+    """
+    camera_axes = (base_T_tcp @ calibration.tcp_T_camera).rotation
+    shift_mm = camera_axes @ np.array([along_mm, across_mm, 0.0])
     return Transform.from_parts(
-        base_T_tcp_left.target,
-        base_T_tcp_left.source,
-        base_T_tcp_left.rotation,
-        base_T_tcp_left.translation_mm + baseline_mm * camera_x,
+        base_T_tcp.target, base_T_tcp.source, base_T_tcp.rotation, base_T_tcp.translation_mm + shift_mm
     )
 
 

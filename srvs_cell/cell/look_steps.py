@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.calibration import plan_right_pose
+from srvs_cell.calibration import moved_aside, plan_right_pose
 from srvs_cell.cell.export import workpiece_json
 from srvs_cell.cell.interlocks import check_frame
 from srvs_cell.cell.job import Job, Outcome, Step
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from srvs_cell.scene import Perception
 
 _LEVEL_MM = 1.0
+_VIEWS = ((0.0, 0.0), (1.0, 1.0), (-1.0, -1.0))
+"""Where the looks after each other are taken from: steps aside, along the base line and across it."""
 
 
 def look(*, verifying: bool = False) -> list[Step]:
@@ -45,14 +47,14 @@ class Rise:
 
 @dataclass(frozen=True)
 class ObserveLeft:
-    """Take the left image at the observe pose."""
+    """Take the left image at the observe pose, or a little aside of it."""
 
     name: StepName = StepName.OBSERVE_LEFT
 
     async def run(self, job: Job) -> Outcome:
-        """Move to the observe pose and take an image."""
+        """Move to the left end of the lateral path and take an image."""
         parameters = job.equipment.parameters
-        target = parameters.look.observe_pose.pose()
+        target = _left_end(job).to_xyzwpr()
         if job.looks == 0:
             speed_percent = parameters.motion.joint_speed_percent
             pose = await job.manipulator.move_joint(target, speed_percent, "left end of the lateral path")
@@ -74,8 +76,7 @@ class MoveLaterally:
     async def run(self, job: Job) -> Outcome:
         """Move."""
         parameters = job.equipment.parameters
-        left_end = Transform.from_xyzwpr("base", "tcp", parameters.look.observe_pose.pose())
-        right_end = plan_right_pose(job.equipment.calibration, left_end, parameters.look.baseline_mm)
+        right_end = plan_right_pose(job.equipment.calibration, _left_end(job), parameters.look.baseline_mm)
         speed_mm_s = parameters.motion.approach_speed_mm_s
         early = asyncio.create_task(_analyse_left(job, right_end))
         try:
@@ -145,6 +146,14 @@ class Perceive:
         for name, picture in job.equipment.pictures(perception).items():
             await job.save_image(f"{name}_{job.looks}", picture)
         return {"workpieces": len(workpieces), "matches": len(perception.matches)}
+
+
+def _left_end(job: Job) -> Transform:
+    """Return where the present look begins: each look sees the parts, and what hides beside them, from elsewhere."""
+    parameters, calibration = job.equipment.parameters.look, job.equipment.calibration
+    along, across = _VIEWS[job.looks % len(_VIEWS)]
+    observe = Transform.from_xyzwpr("base", "tcp", parameters.observe_pose.pose())
+    return moved_aside(calibration, observe, along * parameters.aside_mm, across * parameters.aside_mm)
 
 
 async def _analyse_left(job: Job, right_end: Transform) -> object:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.expectation import compare, expected_now
@@ -15,9 +17,11 @@ from srvs_cell.cell.job import Job, Outcome, Step
 from srvs_cell.cell.look_steps import Rise, look
 from srvs_cell.cell.recovery import StepName
 from srvs_cell.planning import KeptPlaces, footprint_centroid_mm, why_not_taken
-from srvs_cell.scene import PlanStatus
+from srvs_cell.scene import UNKNOWN_KIND, PlanStatus
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srvs_cell.config import ToleranceParameters
     from srvs_cell.scene import Workpiece
 
@@ -47,7 +51,10 @@ def start_over() -> list[Step]:
 
 @dataclass(frozen=True)
 class Confirm:
-    """Believe what was seen when enough looks in a row saw the same: an unseen part is one that the arm may hit."""
+    """Believe what was seen when enough looks in a row saw the same: an unseen part is one that the arm may hit.
+
+    Each look is taken from another place. Of each part the look counts that knows it best.
+    """
 
     name: StepName = StepName.CONFIRM
 
@@ -59,6 +66,7 @@ class Confirm:
         last = job.sightings[-wanted:]
         if len(last) == wanted and all(_same_parts(one, last[-1], tolerance) for one in last):
             job.sightings.clear()
+            job.progress.workpieces = tuple(_surest(workpiece, last) for workpiece in last[-1])
             return Outcome({"parts": seen})
         if len(job.sightings) >= wanted + _FURTHER_LOOKS:
             job.sightings.clear()
@@ -145,6 +153,13 @@ class Verify:
 def _left(workpiece: Workpiece) -> str:
     x_mm, y_mm, _ = workpiece.position_mm
     return f"workpiece {workpiece.id} ({workpiece.kind}) at ({x_mm:.0f}, {y_mm:.0f}): {why_not_taken(workpiece)}"
+
+
+def _surest(workpiece: Workpiece, looks: Sequence[tuple[Workpiece, ...]]) -> Workpiece:
+    """Return what the look that knows a part and its place best says of it, under its number in the last look."""
+    same = [min(look, key=lambda one: math.dist(one.position_mm, workpiece.position_mm)) for look in looks]
+    best = min(same, key=lambda one: (one.kind == UNKNOWN_KIND, float(np.trace(one.covariance_mm2))))
+    return replace(best, id=workpiece.id)
 
 
 def _same_parts(one: tuple[Workpiece, ...], other: tuple[Workpiece, ...], tolerance: ToleranceParameters) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
@@ -77,6 +79,10 @@ class LookParameters:
         Literal["each_move", "each_plan"],
         Field(description="when what was planned is compared with a look: after each move, or after the last one only"),
     ] = "each_move"
+    aside_mm: Annotated[
+        float,
+        Field(ge=0.0, le=100.0, description="how far beside the first look the next ones are taken, along and across"),
+    ] = 15.0
     look_again_s: Annotated[
         float, Field(ge=0.1, le=3600.0, description="interval of looking again while nothing is in view")
     ] = 5.0
@@ -198,4 +204,9 @@ class CellParameters:
     def _observes_inside(self) -> Self:
         if violation := self.workspace.violation(self.look.observe_pose.pose()):
             raise ValueError(f"look.observe_pose: {violation} (workspace)")
+        # the camera may hang at any angle: its steps along and across reach as far as their diagonal
+        aside_mm, pose = math.sqrt(2.0) * self.look.aside_mm, self.look.observe_pose.pose()
+        for x_mm, y_mm in ((aside_mm, aside_mm), (-aside_mm, -aside_mm)):
+            if violation := self.workspace.violation(replace(pose, x_mm=pose.x_mm + x_mm, y_mm=pose.y_mm + y_mm)):
+                raise ValueError(f"look.aside_mm: {violation} (workspace)")
         return self

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from itertools import count
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from srvs_cell.cell import Unit
+from srvs_cell.scene import UNKNOWN_KIND
 from tests.cell.support import Cell, build, connected, running
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from srvs_cell.cell import StereoLook
@@ -34,6 +38,23 @@ def blink(tmp_path: Path, missed: Sequence[int], agreeing_looks: int = 2) -> tup
     parameters = replace(equipment.parameters, look=look)
     cell.unit = Unit(replace(equipment, perceive=perceive, parameters=parameters), simulation=True)
     return cell, seen
+
+
+def with_looks(tmp_path: Path, see: Callable[[int, StereoLook, Perception], Perception]) -> Cell:
+    """Return a cell whose looks, counted from 0, see what a function makes of what is there; two must agree."""
+    cell = build(tmp_path)
+    equipment = cell.unit.equipment
+    number = count()
+    parameters = replace(equipment.parameters, look=replace(equipment.parameters.look, agreeing_looks=2))
+    cell.unit = Unit(
+        replace(
+            equipment,
+            perceive=lambda look: see(next(number), look, equipment.perceive(look)),
+            parameters=parameters,
+        ),
+        simulation=True,
+    )
+    return cell
 
 
 @pytest.mark.parametrize(("missed", "looks"), [((), [3, 3]), ((0,), [2, 3, 3]), ((1,), [3, 2, 3, 3])])
@@ -68,3 +89,59 @@ async def test_one_look_is_enough_where_the_config_says_so(tmp_path: Path) -> No
         await cell.start()
         assert await cell.reaches("Complete", "Held", "Aborted", "Stopped") == "Complete"
         assert seen == [3, 3, 3, 3]
+
+
+async def test_each_look_is_taken_from_another_place(tmp_path: Path) -> None:
+    places: list[tuple[float, float]] = []
+
+    def note(_: int, look: StereoLook, perception: Perception) -> Perception:
+        x_mm, y_mm, _z_mm = look.base_T_tcp_left.translation_mm
+        places.append((float(x_mm), float(y_mm)))
+        return perception
+
+    cell = with_looks(tmp_path, note)
+    look = cell.unit.equipment.parameters.look
+    async with running(cell):
+        await connected(cell)
+        await cell.start()
+        assert await cell.reaches("Complete", "Held", "Aborted", "Stopped") == "Complete"
+    observe = look.observe_pose.pose()
+    assert places[0] == pytest.approx((observe.x_mm, observe.y_mm))
+    first, second, third = places[:3]
+    assert math.dist(first, second) == pytest.approx(math.sqrt(2.0) * look.aside_mm)
+    assert math.dist(second, third) == pytest.approx(2.0 * math.sqrt(2.0) * look.aside_mm)
+
+
+@pytest.mark.parametrize("worse", [0, 1])
+async def test_of_each_part_the_look_counts_that_knows_it_best(tmp_path: Path, worse: int) -> None:
+    def doubt(number: int, _: StereoLook, perception: Perception) -> Perception:
+        if number != worse:
+            return perception
+        first, *others = perception.workpieces
+        return replace(perception, workpieces=(replace(first, covariance_mm2=100.0 * np.eye(3)), *others))
+
+    cell = with_looks(tmp_path, doubt)
+    async with running(cell):
+        await connected(cell)
+        await cell.start()
+        assert await cell.reaches("Complete", "Held", "Aborted", "Stopped") == "Complete"
+        assert cell.unit.snapshot()["moves_done"] == 3
+        assert "UNCERTAIN_POSITION" not in {alarm["name"] for alarm in cell.unit.snapshot()["alarms"]}
+
+
+@pytest.mark.parametrize("worse", [0, 1])
+async def test_a_part_that_one_look_recognises_is_known(tmp_path: Path, worse: int) -> None:
+    def forget(number: int, _: StereoLook, perception: Perception) -> Perception:
+        if number != worse:
+            return perception
+        first, *others = perception.workpieces
+        return replace(
+            perception, workpieces=(replace(first, kind=UNKNOWN_KIND, grasp=None, grasp_refusal="unknown"), *others)
+        )
+
+    cell = with_looks(tmp_path, forget)
+    async with running(cell):
+        await connected(cell)
+        await cell.start()
+        assert await cell.reaches("Complete", "Held", "Aborted", "Stopped") == "Complete"
+        assert cell.unit.snapshot()["moves_done"] == 3
