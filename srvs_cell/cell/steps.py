@@ -123,8 +123,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Verify:
-    """Compare what is seen after a move, or after the last one, with where everything should stand by then."""
+    """Compare what is seen after a move, or after the last one, with where everything should stand by then.
 
+    One look is not believed against the plan: what it finds changed is looked at again, from another place.
+    """
+
+    again: bool = False
     name: StepName = StepName.VERIFY
 
     async def run(self, job: Job) -> Outcome:
@@ -137,10 +141,16 @@ class Verify:
         errors = {str(identifier): error_mm for identifier, error_mm in found.errors_mm.items()}
         evidence = {"tolerance_mm": tolerance.verify_mm, "errors_mm": errors, "changes": list(found.changes)}
         await job.save_json(f"verify_{job.looks - 1}", evidence)
+        if found.changes and not self.again:
+            return Outcome(evidence, [*look(verifying=True), Verify(again=True)])
         if found.changes:
             # This look counts where several must agree before the new plan; whoever came to stand here has a place.
             job.sightings = [job.progress.verified]
-            job.places_mm += found.added_mm
+            job.places_mm += tuple(
+                added
+                for added in found.added_mm
+                if all(math.dist(added, place) > tolerance.verify_mm for place in job.places_mm)
+            )
             changes = "; ".join(found.changes)
             job.warn(Alarm.SCENE_CHANGED, f"After move {job.progress.moves_done}: {changes}.")
             raise AlarmError(Alarm.VERIFY_FAILED, f"{changes} (allowed {tolerance.verify_mm} mm).")

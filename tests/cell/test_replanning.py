@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -14,7 +15,7 @@ from srvs_cell.planning import PlanningParameters
 from tests.cell.support import PARAMETERS, Cell, build, connected, in_step, running, three_blocks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from srvs_cell.cell import StereoLook
@@ -155,10 +156,42 @@ async def test_a_gripper_that_goes_on_dropping_parts_holds_the_cell(tmp_path: Pa
         assert [motion["kind"] for motion in await cell.journal.motions(500)].count("close") == 3
 
 
+def misjudged(cell: Cell, numbers: Sequence[int]) -> None:
+    """Let looks of these numbers take the first part for 15 mm higher than it is."""
+    plain = cell.unit.equipment.perceive
+    number = count()
+
+    def perceive(look: StereoLook) -> Perception:
+        perception = plain(look)
+        if next(number) not in numbers:
+            return perception
+        first, *others = perception.workpieces
+        return replace(perception, workpieces=(replace(first, height_mm=first.height_mm + 15.0), *others))
+
+    cell.unit = Unit(replace(cell.unit.equipment, perceive=perceive), simulation=True)
+
+
+async def test_one_look_is_not_believed_against_the_plan(tmp_path: Path) -> None:
+    cell = build(tmp_path)
+    misjudged(cell, [1])
+    async with running(cell):
+        assert await job(cell) == "Complete"
+        assert cell.alarms == []
+        assert cell.unit.snapshot()["moves_done"] == 3
+
+
+async def test_a_part_that_is_judged_anew_makes_no_second_place(tmp_path: Path) -> None:
+    cell = build(tmp_path)
+    misjudged(cell, [1, 2])
+    async with running(cell):
+        assert await job(cell) == "Complete"
+        assert set(places(cell).values()) == PLACES
+
+
 async def test_a_part_that_never_stays_holds_the_cell_with_its_name(tmp_path: Path) -> None:
     cell = build(tmp_path, parameters=replace(PARAMETERS, retries=RetryParameters(verify=2)))
-    # Every second look is the one after a move.
-    disturbed(cell, {look: lambda: push(cell, "middle", 40.0, 0.0) for look in (1, 3, 5)})
+    # Every third look is the first one after a move; one to be sure and one to plan by follow.
+    disturbed(cell, {look: lambda: push(cell, "middle", 40.0, 0.0) for look in (1, 4, 7)})
     async with running(cell):
         assert await job(cell) == "Held"
         failed = next(alarm for alarm in cell.unit.snapshot()["alarms"] if alarm["name"] == "VERIFY_FAILED")
