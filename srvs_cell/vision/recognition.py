@@ -29,7 +29,7 @@ from srvs_cell.vision.recovery import (
     stable_regions,
     unmatched_planes,
 )
-from srvs_cell.vision.tops import Top, add_tops, explainer, one_per_place, outline_px, owner_of
+from srvs_cell.vision.tops import Top, add_tops, explainer, one_per_place, outline_px, share_out
 from srvs_cell.vision.verification import verify_tops
 from srvs_cell.vision.workpieces import make_workpiece, measure_face, unrecognised
 
@@ -113,37 +113,17 @@ def recognise(
         Workpieces, the highest first; shapes that are in no library have the kind ``unknown``.
     """
     limits = parameters or RecognitionParameters()
-    fields = (EdgeField.of(left.grey), EdgeField.of(right.grey))
+    images, fields = (left, right), (EdgeField.of(left.grey), EdgeField.of(right.grey))
     matched = tuple(surfaces)
-    tops: list[Top] = []
-    spans = ((table_z_mm, table_z_mm + limits.max_height_mm), (limits.min_size_mm, limits.max_size_mm))
-    known = explainer(tops, rig, table_z_mm, relief)
-    if known is not None:
-        add_tops([one for one in matched if not known(outline_px(one, rig))], tops, fields, rig, table_z_mm, limits)
-    if limits.recover:
-        planes = unmatched_planes(left, {surface.id for surface in matched})
-        for find in (partial(_unknown_planes, planes), partial(stable_regions, left.grey)):
-            known = explainer(tops, rig, table_z_mm, relief)
-            if known is None:
-                break
-            found = find_places(find(known), left.grey, right.grey, rig, *spans)
-            add_tops(found, tops, fields, rig, table_z_mm, limits)
+    tops = _find_tops(matched, images, fields, rig, table_z_mm, limits, relief)
     unseen: list[Array] = []
     if relief is None:
         tops = one_per_place(tops)
     else:
-        tops, unseen = verify_tops(tops, relief, (left, right), fields, rig, table_z_mm, limits)
-    unknown: list[Surface] = []
-    owned = {number for top in tops for number in top.surfaces}
-    for surface in matched:
-        if surface.id in owned:
-            continue
-        owner = owner_of(surface, tops, rig, table_z_mm)
-        if owner is not None:
-            tops[owner] = tops[owner].joined(surface)
-        elif relief is None and _rises(surface, table_z_mm, limits):
-            unknown.append(surface)
-    unknown += find_places(rising_regions(unseen, left.grey.shape), left.grey, right.grey, rig, *spans)
+        tops, unseen = verify_tops(tops, relief, images, fields, rig, table_z_mm, limits)
+    tops, others = share_out(matched, tops, rig, table_z_mm)
+    unknown = [surface for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
+    unknown += _placed(rising_regions(unseen, left.grey.shape), images, rig, table_z_mm, limits)
     faces = [measure_face(top, rig, reference) for top in tops]
     workpieces = [
         make_workpiece(group, faces, table_z_mm, limits.grasp)
@@ -152,6 +132,48 @@ def recognise(
     workpieces += [unrecognised(surface, table_z_mm) for surface in unknown]
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
+
+
+def _find_tops(
+    matched: tuple[Surface, ...],
+    images: tuple[PlaneImage, PlaneImage],
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    table_z_mm: float,
+    limits: RecognitionParameters,
+    relief: Relief | None,
+) -> list[Top]:
+    """Return the top faces among matched planes, planes without a partner and stable regions, one after the other.
+
+    Each looks only where those before have left something unexplained.
+    """
+    tops: list[Top] = []
+    known = explainer(tops, rig, table_z_mm, relief)
+    if known is not None:
+        add_tops([one for one in matched if not known(outline_px(one, rig))], tops, fields, rig, table_z_mm, limits)
+    if not limits.recover:
+        return tops
+    left, _ = images
+    planes = unmatched_planes(left, {surface.id for surface in matched})
+    for find in (partial(_unknown_planes, planes), partial(stable_regions, left.grey)):
+        known = explainer(tops, rig, table_z_mm, relief)
+        if known is None:
+            break
+        add_tops(_placed(find(known), images, rig, table_z_mm, limits), tops, fields, rig, table_z_mm, limits)
+    return tops
+
+
+def _placed(
+    regions: list[Region],
+    images: tuple[PlaneImage, PlaneImage],
+    rig: RectifiedRig,
+    table_z_mm: float,
+    limits: RecognitionParameters,
+) -> tuple[Surface, ...]:
+    """Return regions as surfaces, where the grey values give them a place that a part may have."""
+    heights_mm = (table_z_mm, table_z_mm + limits.max_height_mm)
+    left, right = images
+    return find_places(regions, left.grey, right.grey, rig, heights_mm, (limits.min_size_mm, limits.max_size_mm))
 
 
 def _unknown_planes(planes: list[Region], known: Callable[[NDArray[np.float32]], bool]) -> list[Region]:

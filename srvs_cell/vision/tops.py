@@ -110,10 +110,24 @@ def share_place(fit: FaceFit, other: FaceFit) -> bool:
     return bool(shared_mm2 > _SHARED_PLACE * min(cv2.contourArea(outline), cv2.contourArea(standing)))
 
 
-def owner_of(surface: Surface, tops: list[Top], rig: RectifiedRig, table_z_mm: float) -> int | None:
-    """Return the number of the top whose part a surface belongs to; None where it is of no known part."""
-    owner = _column(np.array([surface.centre_mm]), surface.centre_mm[2], tops)
-    return _silhouette(surface, tops, rig, table_z_mm) if owner is None else owner
+def share_out(
+    surfaces: Sequence[Surface], tops: list[Top], rig: RectifiedRig, table_z_mm: float
+) -> tuple[list[Top], list[Surface]]:
+    """Return the tops with the surfaces that belong to their parts, and the surfaces that belong to none."""
+    tops = list(tops)
+    owned = {number for top in tops for number in top.surfaces}
+    others = []
+    for surface in surfaces:
+        if surface.id in owned:
+            continue
+        owner = _column(np.array([surface.centre_mm]), surface.centre_mm[2], tops)
+        if owner is None:
+            owner = _silhouette(surface, tops, rig, table_z_mm)
+        if owner is None:
+            others.append(surface)
+        else:
+            tops[owner] = tops[owner].joined(surface)
+    return tops, others
 
 
 def _column(outline_mm: Array, z_mm: float, tops: list[Top]) -> int | None:
