@@ -2,8 +2,9 @@
 # Builds the machine from Debian's packages into .vm/:
 #   vmlinux   the kernel, uncompressed (unpacking it inside an emulated processor is slow)
 #   initrd    busybox and the modules that reach the root disk
-#   root.img  Debian with systemd, and /opt/srvs-cell: a venv with what requirements.txt locks
-#   stamp     what the above was made from: an equal stamp skips the build
+#   root      Debian with systemd, and /opt/srvs-cell: a venv with what requirements.txt locks
+#   stamp     what the above was made from: an equal stamp skips all but the last step
+#   root.img  the machine's disk: root, and the project's wheel
 # Exit 77: it cannot be had here (not Debian, not root, no network); the reason is on stdout.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
@@ -15,7 +16,33 @@ missing=()
 for pair in "${host_tools[@]}"; do
 	command -v "${pair%%:*}" >/dev/null || missing+=("${pair#*:}")
 done
-[ ${#missing[@]} = 0 ] && [ "$(cat "$cache/stamp" 2>/dev/null)" = "$stamp" ] && exit 0
+
+# Installs the wheel as docs/how-to/install-service.md has it, by the guest's own Python, but at the speed of this
+# processor; the service cannot write its byte code.
+make_disk() {
+	local wheel sum
+	rm -rf "$cache/wheel"
+	(cd "$root" && "$python" -m hatchling build --target wheel --directory "$cache/wheel" >"$cache/wheel.log" 2>&1) ||
+		{ cat "$cache/wheel.log" && exit 1; }
+	wheel=$(echo "$cache"/wheel/*.whl)
+	sum=$(sha256sum "$wheel")
+	[ "$(cat "$cache/disk" 2>/dev/null)" = "$sum" ] && return
+	[ "$(id -u)" = 0 ] || skip "needs root to install the wheel in the machine."
+	rm -f "$cache/disk" "$cache/root.img"
+	cp "$wheel" "$cache/root/"
+	in_guest -m pip install --quiet --no-index --no-deps --force-reinstall --no-compile "/${wheel##*/}"
+	rm "$cache/root/${wheel##*/}"
+	in_guest -m compileall -q -j 0 -x '/tests/' /opt/srvs-cell/lib
+	truncate -s "$(($(du -sm "$cache/root" | cut -f1) + 400))M" "$cache/root.img"
+	mkfs.ext4 -q -F -m 0 -O '^has_journal' -d "$cache/root" "$cache/root.img"
+	echo "$sum" >"$cache/disk"
+}
+in_guest() { env -i PATH="$PATH" chroot "$cache/root" /opt/srvs-cell/bin/python "$@"; }
+
+if [ ${#missing[@]} = 0 ] && [ "$(cat "$cache/stamp" 2>/dev/null)" = "$stamp" ]; then
+	make_disk
+	exit 0
+fi
 
 # --- what must be so that it can be built -------------------------------------------------------------------------
 [ "$(dpkg --print-architecture 2>/dev/null)" = amd64 ] || skip "needs Debian on amd64."
@@ -33,29 +60,26 @@ if [ ${#missing[@]} -gt 0 ]; then
 		skip "cannot install ${missing[*]}."
 	say "installed ${missing[*]} (after $((SECONDS - started)) s)"
 fi
-[ "$(cat "$cache/stamp" 2>/dev/null)" = "$stamp" ] && exit 0
 
 mkdir -p "$cache"/{debs,archives,wheels}
-rm -f "$cache/stamp"
+rm -rf "$cache"/{stamp,disk,root}
 # The work tree (about 1.5 GiB) goes to memory where there is enough of it.
 base=${TMPDIR:-/var/tmp}
 [ "$(df -m --output=avail /dev/shm 2>/dev/null | tail -1)" -gt 6000 ] 2>/dev/null && base=/dev/shm
 w=$(mktemp -d "$base/srvs-vm.XXXXXX")
 chmod 755 "$w"
-trap 'rm -rf "$w"' EXIT
+trap 'kill $(jobs -p) 2>/dev/null || true; wait; rm -rf "$w"' EXIT
 
 # --- Debian, beside the two downloads below; its packages are kept for the next build --------------------------------
-(
-	include=$(IFS=, && echo "${guest_packages[*]}")
-	mmdebstrap --quiet --mode=root --variant=minbase --include="$include" \
-		--dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
-		--dpkgopt='path-exclude=/usr/share/locale/*' \
-		--skip=download/empty --skip=essential/unlink \
-		--setup-hook="mkdir -p \"\$1\"/var/cache/apt/archives" \
-		--setup-hook="cp -n $cache/archives/*.deb \"\$1\"/var/cache/apt/archives/ 2>/dev/null || true" \
-		--customize-hook="cp -u \"\$1\"/var/cache/apt/archives/*.deb $cache/archives/" \
-		"$suite" "$w/root" "$mirror" >"$w/root.log" 2>&1
-) &
+include=$(IFS=, && echo "${guest_packages[*]}")
+mmdebstrap --quiet --mode=root --variant=minbase --include="$include" \
+	--dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
+	--dpkgopt='path-exclude=/usr/share/locale/*' \
+	--skip=download/empty --skip=essential/unlink \
+	--setup-hook="mkdir -p \"\$1\"/var/cache/apt/archives" \
+	--setup-hook="cp -n $cache/archives/*.deb \"\$1\"/var/cache/apt/archives/ 2>/dev/null || true" \
+	--customize-hook="cp -u \"\$1\"/var/cache/apt/archives/*.deb $cache/archives/" \
+	"$suite" "$w/root" "$mirror" >"$w/root.log" 2>&1 &
 debian=$!
 
 # --- kernel: its package is unpacked, not installed ------------------------------------------------------------------
@@ -95,16 +119,13 @@ guest_python=$(apt-cache show python3 | sed -n 's/^Version: \([0-9]*\.[0-9]*\).*
 say "Python packages (after $((SECONDS - started)) s)"
 
 wait "$debian" || { cat "$w/root.log" >&2; exit 1; }
-r=$w/root
-# As docs/how-to/install-service.md has it, by the guest's own Python, but at the speed of this processor.
+mv "$w/root" "$cache/root"
+r=$cache/root
 mkdir "$r/wheels"
 cp "$w/lock.txt" "$r/wheels/"
-ln -f "$cache"/wheels/*.whl "$r/wheels/" 2>/dev/null || cp "$cache"/wheels/*.whl "$r/wheels/"
+ln -f "$cache"/wheels/*.whl "$r/wheels/"
 env -i PATH="$PATH" chroot "$r" python3 -m venv /opt/srvs-cell
-env -i PATH="$PATH" chroot "$r" /opt/srvs-cell/bin/python -m pip install --quiet --no-compile --no-index \
-	--find-links /wheels --require-hashes -r /wheels/lock.txt
-# The service cannot write its byte code; the packages' own tests are not needed.
-env -i PATH="$PATH" chroot "$r" /opt/srvs-cell/bin/python -m compileall -q -x '/tests/' /opt/srvs-cell/lib
+in_guest -m pip install --quiet --no-compile --no-index --find-links /wheels --require-hashes -r /wheels/lock.txt
 rm -rf "$r/wheels"
 say "Debian $suite with /opt/srvs-cell (after $((SECONDS - started)) s)"
 
@@ -129,9 +150,7 @@ printf '[Journal]\nStorage=volatile\nRateLimitBurst=0\n' >"$r/etc/systemd/journa
 : >"$r/etc/fstab"
 rm -rf "$r"/var/cache/apt/* "$r"/var/lib/apt/lists/*
 
-truncate -s "$(($(du -sm "$r" | cut -f1) + 400))M" "$w/root.img"
-mkfs.ext4 -q -F -m 0 -O '^has_journal' -d "$r" "$w/root.img"
-cp --sparse=always "$w/root.img" "$cache/root.img"
+make_disk
 echo "Debian $suite, kernel $version, Python $guest_python" >"$cache/description"
 echo "$stamp" >"$cache/stamp"
 say "machine built in $((SECONDS - started)) s"

@@ -43,12 +43,18 @@ def write_cell(folder: Path) -> Cell:
     cell |= {"workspace": listens["workspace"], "table_z_mm": listens["table_z_mm"]}
     # Slow enough for a stop in the middle of the lateral path.
     cell["motion"] |= {"jaw_axis": listens["gripper"]["jaw_axis"], "approach_speed_mm_s": 10.0}
-    config["planning"] |= {"home_mm": [x, y]}
+    config["planning"] |= {"home_mm": [x, y], "arm": None}  # the simulated one is another
     devices = config["devices"]
     devices["camera"] |= {"device": str(usb.DEVICE), **usb.SETTINGS}
     devices["arm"] |= {"host": _HOST, "port": listens["modbus_port"], "timeout_s": 5.0}
+    devices["arm"] |= {"heartbeat_timeout_s": 10.0}  # the robot's, which shares two processors with an emulated machine
     CONFIG.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
-    shutil.copy(folder / "calibration.yaml", CONFIG.parent)
+    calibration = yaml.safe_load((folder / "calibration.yaml").read_text(encoding="utf-8"))
+    shrink = usb.SETTINGS["width"] / calibration["camera"]["width"]  # less to compute, for an emulated processor
+    for name in ("width", "height", "fx", "fy", "cx", "cy"):
+        value = calibration["camera"][name] * shrink
+        calibration["camera"][name] = round(value) if name in {"width", "height"} else value
+    (CONFIG.parent / "calibration.yaml").write_text(yaml.safe_dump(calibration), encoding="utf-8")
     for path in (CONFIG, CONFIG.parent / "calibration.yaml"):
         path.chmod(0o640)
         shutil.chown(path, group="srvs-cell")
@@ -114,4 +120,5 @@ class Cell:
             self.command("clear")
             self.reaches({"Stopped"})
         self.command("reset")
-        self.reaches({"Idle"})
+        self.reaches({"Idle", "Aborted"})
+        assert self.status()["state"] == "Idle", self.alarms()

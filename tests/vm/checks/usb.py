@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from srvs_cell.alarms import Alarm
 from tests.vm.checks.camera import grab, refused, setting_refused, streaming
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tests.vm.checks.report import Report
 
 DEVICE = Path("/dev/v4l/by-id/usb-srvs_bench_Simulated_camera_SIM0001-video-index0")
-SETTINGS = {"width": 640, "height": 480, "fps": 5.0, "fourcc": "YUYV"}
+SETTINGS: Final[dict[str, Any]] = {"width": 320, "height": 240, "fps": 5.0, "fourcc": "YUYV"}
 _PLUG_S = 20.0
 _GRABS = 10
 _SAME_GREY = 3.0
@@ -63,8 +63,7 @@ class UsbCameraProcess:
 
 
 def check_usb(report: Report, camera: UsbCameraProcess) -> None:
-    """Run all checks on the driver; the camera is plugged in afterwards."""
-    report.check("usb: plugged in, found by id", lambda: f"{DEVICE.name} after {camera.plug():.1f} s")
+    """Run all checks on the driver; the camera is plugged in before and afterwards."""
     report.check("usb: grabs", lambda: asyncio.run(_grabs()))
     report.check("usb: exposure", lambda: asyncio.run(_exposure()))
     report.check("usb: exposure out of range refused", lambda: asyncio.run(_exposure_refused()))
