@@ -80,13 +80,16 @@ def compare(expected: Sequence[Expected], seen: Sequence[Workpiece], tolerance: 
     """Compare what is seen with what is expected.
 
     A workpiece stands as expected where one of its height is seen within ``verify_mm`` of its point, not turned by more
-    than ``verify_deg``. Of the others, those of equal height are taken for the same one, moved.
+    than ``verify_deg``. Of the others, those of equal height are taken for the same one, moved. Heights are compared in
+    the middle of the top face: there a face is known best, also where its slope was misjudged.
     """
     points_mm = [footprint_centroid_mm(workpiece.footprint_mm) for workpiece in seen]
     shape = (len(expected), len(seen))
     distance_mm = np.array([[math.dist(each.point_mm, point) for point in points_mm] for each in expected])
     turned_deg = np.array([[_turned_deg(each.workpiece, other) for other in seen] for each in expected])
-    higher_mm = np.array([[other.height_mm - each.workpiece.height_mm for other in seen] for each in expected])
+    higher_mm = np.array(
+        [[other.position_mm[2] - each.workpiece.position_mm[2] for other in seen] for each in expected]
+    )
     distance_mm, turned_deg = distance_mm.reshape(shape), turned_deg.reshape(shape)
     alike = np.abs(higher_mm.reshape(shape)) <= tolerance.verify_height_mm
     here = (distance_mm <= tolerance.verify_mm) & (turned_deg <= tolerance.verify_deg)

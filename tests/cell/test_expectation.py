@@ -58,6 +58,12 @@ def test_a_part_of_another_height_is_another_part() -> None:
     assert added == "a cuboid part stands at (300.0, 0.0) that was not there"
 
 
+def test_a_part_whose_slope_was_misjudged_is_the_same_part() -> None:
+    level = part(300.0, 0.0)
+    sloped = replace(level, kind="wedge", height_mm=level.height_mm + 10.0)
+    assert changes([(sloped, (300.0, 0.0))], [level]) == ()
+
+
 def test_a_nearly_square_part_has_no_long_side_to_be_turned() -> None:
     assert changes([(part(0.0, 0.0, width_mm=38.0), (0.0, 0.0))], [part(0.0, 0.0, yaw_deg=88.0, width_mm=38.0)]) == ()
 

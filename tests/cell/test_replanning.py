@@ -166,7 +166,9 @@ def misjudged(cell: Cell, numbers: Sequence[int]) -> None:
         if next(number) not in numbers:
             return perception
         first, *others = perception.workpieces
-        return replace(perception, workpieces=(replace(first, height_mm=first.height_mm + 15.0), *others))
+        x_mm, y_mm, z_mm = first.position_mm
+        higher = replace(first, position_mm=(x_mm, y_mm, z_mm + 15.0), height_mm=first.height_mm + 15.0)
+        return replace(perception, workpieces=(higher, *others))
 
     cell.unit = Unit(replace(cell.unit.equipment, perceive=perceive), simulation=True)
 
