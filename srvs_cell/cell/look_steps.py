@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from srvs_cell.scene import Perception
 
 _LEVEL_MM = 1.0
-_VIEWS = ((0.0, 0.0), (1.0, 1.0), (-1.0, -1.0))
-"""Where the looks after each other are taken from: steps aside, along the base line and across it."""
 
 
 def look(*, verifying: bool = False) -> list[Step]:
@@ -149,11 +147,10 @@ class Perceive:
 
 
 def _left_end(job: Job) -> Transform:
-    """Return where the present look begins: each look sees the parts, and what hides beside them, from elsewhere."""
+    """Return where the present look begins: every second one sees the parts, and what hides beside them, from aside."""
     parameters, calibration = job.equipment.parameters.look, job.equipment.calibration
-    along, across = _VIEWS[job.looks % len(_VIEWS)]
     observe = Transform.from_xyzwpr("base", "tcp", parameters.observe_pose.pose())
-    return moved_aside(calibration, observe, along * parameters.aside_mm, across * parameters.aside_mm)
+    return moved_aside(calibration, observe, *parameters.aside_mm) if job.looks % 2 else observe
 
 
 async def _analyse_left(job: Job, right_end: Transform) -> object:

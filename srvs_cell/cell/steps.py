@@ -53,7 +53,7 @@ def start_over() -> list[Step]:
 class Confirm:
     """Believe what was seen when enough looks in a row saw the same: an unseen part is one that the arm may hit.
 
-    Each look is taken from another place. Of each part the look counts that knows it best.
+    Every second look is taken from aside. Of each part the look counts that knows it best.
     """
 
     name: StepName = StepName.CONFIRM
@@ -125,7 +125,7 @@ class Plan:
 class Verify:
     """Compare what is seen after a move, or after the last one, with where everything should stand by then.
 
-    One look is not believed against the plan: what it finds changed is looked at again, from another place.
+    One look is not believed against the plan: what it finds changed is looked at again.
     """
 
     again: bool = False

@@ -60,6 +60,9 @@ class WorkspaceBox:
         return ""
 
 
+Offset = Annotated[float, Field(ge=-100.0, le=100.0)]
+
+
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class LookParameters:
     """The lateral path and what is taken on it."""
@@ -80,9 +83,9 @@ class LookParameters:
         Field(description="when what was planned is compared with a look: after each move, or after the last one only"),
     ] = "each_move"
     aside_mm: Annotated[
-        float,
-        Field(ge=0.0, le=100.0, description="how far beside the first look the next ones are taken, along and across"),
-    ] = 15.0
+        tuple[Offset, Offset],
+        Field(description="how far beside the first look every second one is taken, along the camera's x and y axes"),
+    ] = (15.0, 15.0)
     look_again_s: Annotated[
         float, Field(ge=0.1, le=3600.0, description="interval of looking again while nothing is in view")
     ] = 5.0
@@ -204,8 +207,8 @@ class CellParameters:
     def _observes_inside(self) -> Self:
         if violation := self.workspace.violation(self.look.observe_pose.pose()):
             raise ValueError(f"look.observe_pose: {violation} (workspace)")
-        # the camera may hang at any angle: its steps along and across reach as far as their diagonal
-        aside_mm, pose = math.sqrt(2.0) * self.look.aside_mm, self.look.observe_pose.pose()
+        # the camera may hang at any angle, so that its steps may point anywhere
+        aside_mm, pose = math.hypot(*self.look.aside_mm), self.look.observe_pose.pose()
         for x_mm, y_mm in ((aside_mm, aside_mm), (-aside_mm, -aside_mm)):
             if violation := self.workspace.violation(replace(pose, x_mm=pose.x_mm + x_mm, y_mm=pose.y_mm + y_mm)):
                 raise ValueError(f"look.aside_mm: {violation} (workspace)")

@@ -91,7 +91,7 @@ async def test_one_look_is_enough_where_the_config_says_so(tmp_path: Path) -> No
         assert seen == [3, 3, 3, 3]
 
 
-async def test_each_look_is_taken_from_another_place(tmp_path: Path) -> None:
+async def test_every_second_look_is_taken_from_aside(tmp_path: Path) -> None:
     places: list[tuple[float, float]] = []
 
     def note(_: int, look: StereoLook, perception: Perception) -> Perception:
@@ -107,9 +107,9 @@ async def test_each_look_is_taken_from_another_place(tmp_path: Path) -> None:
         assert await cell.reaches("Complete", "Held", "Aborted", "Stopped") == "Complete"
     observe = look.observe_pose.pose()
     assert places[0] == pytest.approx((observe.x_mm, observe.y_mm))
-    first, second, third = places[:3]
-    assert math.dist(first, second) == pytest.approx(math.sqrt(2.0) * look.aside_mm)
-    assert math.dist(second, third) == pytest.approx(2.0 * math.sqrt(2.0) * look.aside_mm)
+    assert places[::2] == [pytest.approx(places[0])] * len(places[::2])
+    assert math.dist(places[0], places[1]) == pytest.approx(math.hypot(*look.aside_mm))
+    assert places[1::2] == [pytest.approx(places[1])] * len(places[1::2])
 
 
 @pytest.mark.parametrize("worse", [0, 1])
