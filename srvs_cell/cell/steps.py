@@ -173,11 +173,11 @@ def _surest(workpiece: Workpiece, looks: Sequence[tuple[Workpiece, ...]]) -> Wor
 
 
 def _same_parts(one: tuple[Workpiece, ...], other: tuple[Workpiece, ...], tolerance: ToleranceParameters) -> bool:
-    """Return whether two looks saw the same parts: as many, each at its place, its top's middle at its height."""
+    """Return whether two looks saw the same parts: as many, each at its place and of its height, which orders them."""
     return len(one) == len(other) and all(
         any(
             math.dist(a.position_mm[:2], b.position_mm[:2]) <= tolerance.verify_mm
-            and abs(a.position_mm[2] - b.position_mm[2]) <= tolerance.verify_height_mm
+            and abs(a.height_mm - b.height_mm) <= tolerance.verify_height_mm
             for b in other
         )
         for a in one
