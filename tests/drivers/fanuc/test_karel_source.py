@@ -46,6 +46,10 @@ def test_source_and_driver_have_the_same_numbers() -> None:
     assert 1 << CONSTANTS["UO_CMDENBL"] - 1 == UopOutput.CMDENBL
 
 
+NOT_ASKED = {"JNTS"}
+"""For whoever sets the robot up: the driver asks for no joints."""
+
+
 def test_source_and_driver_have_the_same_commands() -> None:
     in_source = set(re.findall(r"verb = '(\w{4})'", TEXT))
     page = lines.__file__.replace("lines.py", "")
@@ -53,7 +57,8 @@ def test_source_and_driver_have_the_same_commands() -> None:
     for file in ("arm.py", "session.py"):
         with open(page + file, encoding="utf-8") as source:  # noqa: PTH123 - beside the module that was imported
             asked |= set(re.findall(r'"([A-Z]{4})"', source.read()))
-    assert asked == in_source
+    assert in_source - asked == NOT_ASKED
+    assert asked <= in_source
 
 
 def test_source_and_driver_have_the_same_fields_in_the_same_order() -> None:
