@@ -72,10 +72,10 @@ def add_tops(
     """Add the top faces among surfaces to those known, the surest and largest first."""
     fits = fit_tops(surfaces, fields, rig, table_z_mm, limits)
     found = [(surface, fit) for surface, fit in zip(surfaces, fits, strict=True) if fit is not None]
-    found.sort(key=lambda one: _rank(one[1]))
+    found.sort(key=lambda one: rank(one[1]))
     for surface, fit in found:
         owner = _column(fit.face.corners_mm(), min(surface.centre_mm[2], fit.face.z_mm), tops)
-        if owner is None or _rank(tops[owner].fit)[0] > _rank(fit)[0]:
+        if owner is None or rank(tops[owner].fit)[0] > rank(fit)[0]:
             tops.append(Top(fit, ()).joined(surface))
         else:
             tops[owner] = tops[owner].joined(surface)
@@ -87,7 +87,7 @@ def one_per_place(tops: list[Top]) -> list[Top]:
     Parts stand on the table beside each other, so that two top faces over one place cannot both be right.
     """
     kept: list[Top] = []
-    for top in sorted(tops, key=lambda one: _rank(one.fit)):
+    for top in sorted(tops, key=lambda one: rank(one.fit)):
         for number, other in enumerate(kept):
             if share_place(top.fit, other.fit):
                 kept[number] = replace(other, surfaces=(*other.surfaces, *top.surfaces))
@@ -97,7 +97,7 @@ def one_per_place(tops: list[Top]) -> list[Top]:
     return kept
 
 
-def _rank(fit: FaceFit) -> tuple[int, float]:
+def rank(fit: FaceFit) -> tuple[int, float]:
     """Return the sort key that puts the surest first, among equals the largest: a face before the print on it."""
     sureness = (fit.rms_px > CERTAIN_RMS_PX) + (fit.rms_px > SURE_RMS_PX)
     return sureness, -fit.face.length_mm * fit.face.width_mm
@@ -136,12 +136,7 @@ def _column(outline_mm: Array, z_mm: float, tops: list[Top]) -> int | None:
         face = top.fit.face
         if z_mm > height_above_mm(face, 0.0) + _TOP_MARGIN_MM:
             continue
-        polygon = face.corners_mm()[:, :2].astype(np.float32)
-        inside = [
-            cv2.pointPolygonTest(polygon, (float(x), float(y)), measureDist=True) > -_SIDE_FACE_MARGIN_MM
-            for x, y, *_ in outline_mm
-        ]
-        if np.mean(inside) > _COLUMN_SHARE:
+        if _share_inside(outline_mm[:, :2], face.corners_mm()[:, :2], _SIDE_FACE_MARGIN_MM) > _COLUMN_SHARE:
             return number
     return None
 
@@ -158,15 +153,24 @@ def _silhouette(surface: Surface, tops: list[Top], rig: RectifiedRig, table_z_mm
         feet = _feet(corners, table_z_mm)
         shares = []
         for seen, part in zip(outline, _pictures(np.concatenate([corners, feet]), rig), strict=True):
-            hull = cv2.convexHull(part)
-            inside = [
-                cv2.pointPolygonTest(hull, (float(x), float(y)), measureDist=True) > -_SILHOUETTE_MARGIN_PX
-                for x, y in seen
-            ]
-            shares.append(float(np.mean(inside)))
+            shares.append(
+                _share_inside(seen, cv2.convexHull(part).reshape(-1, 2).astype(np.float32), _SILHOUETTE_MARGIN_PX)
+            )
         if max(shares) > needed:
             return number
     return None
+
+
+def _share_inside(points: Array | NDArray[np.float32], polygon: Array | NDArray[np.float32], margin: float) -> float:
+    """Return the share of points, shape (N, 2), inside a convex polygon, shape (K, 2), or beside it by a margin."""
+    along = np.roll(polygon, -1, axis=0) - polygon
+    normals = np.column_stack([along[:, 1], -along[:, 0]])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    offsets = (normals * polygon).sum(axis=1)
+    # the normals of one turning sense point outwards, those of the other inwards
+    outwards = 1.0 if normals[0] @ polygon.mean(axis=0) <= offsets[0] else -1.0
+    beyond = outwards * (points @ normals.T - offsets)
+    return float(np.mean(beyond.max(axis=1) < margin))
 
 
 def _pictures(points_mm: Array, rig: RectifiedRig) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -17,7 +17,7 @@ from srvs_cell.vision.profiles import Pictures
 from srvs_cell.vision.relief import risen, rising_outlines
 from srvs_cell.vision.rising_faces import fit_rising
 from srvs_cell.vision.top_faces import is_top
-from srvs_cell.vision.tops import CERTAIN_RMS_PX, Top, explained_polygons, one_per_place, share_place
+from srvs_cell.vision.tops import CERTAIN_RMS_PX, Top, explained_polygons, one_per_place, rank, share_place
 from srvs_cell.vision.witnesses import Bench, Witnesses
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def _rising_tops(
     return [
         Top(fit, ())
         for fit in fits
-        if not any(share_place(fit, top.fit) and top.fit.rms_px <= fit.rms_px for top in known)
+        if not any(share_place(fit, top.fit) and rank(top.fit) <= rank(fit) for top in known)
     ]
 
 
