@@ -12,7 +12,7 @@ import structlog
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.journal import GripperKnowledge
-from srvs_cell.cell.recovery import CARRYING, Recovery, StepName, decide
+from srvs_cell.cell.recovery import BETTER_SEEN_AGAIN, CARRYING, Recovery, StepName, decide
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -143,6 +143,7 @@ class Job:
         left, right: the images and poses of the present look.
         early: what was made of the left image while the arm travelled.
         looks: finished looks.
+        aside: looks are taken from aside: it changes with every look that was doubted.
         places_mm: the places that the job is about: those that were occupied when it first planned, and of parts that
             were added since.
         sightings: what each look saw since the last confirmation.
@@ -173,6 +174,7 @@ class Job:
         self.right: tuple[NDArray[np.uint8], Transform] | None = None
         self.early: Any = None
         self.looks = 0
+        self.aside = False
         self.places_mm: tuple[Point2, ...] = ()
         self.sightings: list[tuple[Workpiece, ...]] = []
         self.offsets_mm: dict[int, Point2] = {}
@@ -267,6 +269,8 @@ class Job:
             elif recovery is Recovery.REOBSERVE:
                 if step.name in CARRYING:
                     self.warn(Alarm.SCENE_CHANGED, error.detail)
+                if error.alarm in BETTER_SEEN_AGAIN:
+                    self.aside = not self.aside
                 # Nothing of the former plan is continued.
                 self._steps = deque(self._start_over())
                 self.progress.plan, self.progress.moves_left = None, 0

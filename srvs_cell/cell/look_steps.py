@@ -147,10 +147,10 @@ class Perceive:
 
 
 def _left_end(job: Job) -> Transform:
-    """Return where the present look begins: every second one sees the parts, and what hides beside them, from aside."""
+    """Return where the present look begins: at the observe pose, or aside where that was doubtful."""
     parameters, calibration = job.equipment.parameters.look, job.equipment.calibration
     observe = Transform.from_xyzwpr("base", "tcp", parameters.observe_pose.pose())
-    return moved_aside(calibration, observe, *parameters.aside_mm) if job.looks % 2 else observe
+    return moved_aside(calibration, observe, *parameters.aside_mm) if job.aside else observe
 
 
 async def _analyse_left(job: Job, right_end: Transform) -> object:

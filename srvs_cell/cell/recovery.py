@@ -67,7 +67,7 @@ _CAMERA_TROUBLE = frozenset({Alarm.CAMERA_TIMEOUT, Alarm.CAMERA_STALE})
 CARRYING = frozenset({StepName.PICK, StepName.PLACE})
 _NOT_IN_THE_HAND = frozenset({Alarm.GRIP_EMPTY, Alarm.GRIP_LOST})
 """Felt where the hand is up already: what fell is looked for like anything else that stands where it should not."""
-_BETTER_SEEN_AGAIN = frozenset({Alarm.UNCERTAIN_POSITION, Alarm.PART_LEFT})
+BETTER_SEEN_AGAIN = frozenset({Alarm.UNCERTAIN_POSITION, Alarm.PART_LEFT})
 _BEFORE_ANY_GRIP = frozenset({StepName.PERCEIVE, StepName.PLAN})
 
 
@@ -87,7 +87,7 @@ def decide(
         return Recovery.RETRY
     if step in CARRYING and alarm in _NOT_IN_THE_HAND and before < retries.grip:
         return Recovery.REOBSERVE
-    if step in _BEFORE_ANY_GRIP and alarm in _BETTER_SEEN_AGAIN and before < retries.look:
+    if step in _BEFORE_ANY_GRIP and alarm in BETTER_SEEN_AGAIN and before < retries.look:
         return Recovery.REOBSERVE
     if step is StepName.PERCEIVE and alarm is Alarm.IMAGE_INVALID and before < retries.frame:
         return Recovery.REOBSERVE

@@ -53,7 +53,7 @@ def start_over() -> list[Step]:
 class Confirm:
     """Believe what was seen when enough looks in a row saw the same: an unseen part is one that the arm may hit.
 
-    Every second look is taken from aside. Of each part the look counts that knows it best.
+    Of each part the look counts that knows it best.
     """
 
     name: StepName = StepName.CONFIRM
@@ -125,7 +125,7 @@ class Plan:
 class Verify:
     """Compare what is seen after a move, or after the last one, with where everything should stand by then.
 
-    One look is not believed against the plan: what it finds changed is looked at again.
+    One look is not believed against the plan: what it finds changed is looked at again, from aside.
     """
 
     again: bool = False
@@ -142,6 +142,7 @@ class Verify:
         evidence = {"tolerance_mm": tolerance.verify_mm, "errors_mm": errors, "changes": list(found.changes)}
         await job.save_json(f"verify_{job.looks - 1}", evidence)
         if found.changes and not self.again:
+            job.aside = not job.aside
             return Outcome(evidence, [*look(verifying=True), Verify(again=True)])
         if found.changes:
             # This look counts where several must agree before the new plan; whoever came to stand here has a place.

@@ -84,7 +84,7 @@ class LookParameters:
     ] = "each_move"
     aside_mm: Annotated[
         tuple[Offset, Offset],
-        Field(description="how far beside the first look every second one is taken, along the camera's x and y axes"),
+        Field(description="how far aside a doubtful look is repeated, along the camera's x and y axes"),
     ] = (15.0, 15.0)
     look_again_s: Annotated[
         float, Field(ge=0.1, le=3600.0, description="interval of looking again while nothing is in view")
