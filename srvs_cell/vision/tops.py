@@ -166,10 +166,9 @@ def _share_inside(points: Array | NDArray[np.float32], polygon: Array | NDArray[
     along = np.roll(polygon, -1, axis=0) - polygon
     normals = np.column_stack([along[:, 1], -along[:, 0]])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float32).tiny)
-    offsets = (normals * polygon).sum(axis=1)
-    # the normals of one turning sense point outwards, those of the other inwards
-    outwards = 1.0 if normals[0] @ polygon.mean(axis=0) <= offsets[0] else -1.0
-    beyond = outwards * (points @ normals.T - offsets)
+    beyond = points @ normals.T - (normals * polygon).sum(axis=1)
+    # the normals point outwards or inwards, by the polygon's turning sense
+    beyond *= np.sign(cv2.contourArea(polygon.astype(np.float32), oriented=True))
     return float(np.mean(beyond.max(axis=1) < margin))
 
 

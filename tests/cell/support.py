@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from srvs_cell.planning import CellPlan, KeptPlaces, PlanningParameters, Workspa
 from srvs_cell.scene import Grasp, Perception, PlaneImage, Workpiece
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Sequence
+    from collections.abc import AsyncIterator, Callable, Sequence
     from pathlib import Path
 
 WIDTH_PX, HEIGHT_PX = 64, 48
@@ -178,6 +179,23 @@ async def connected(cell: Cell) -> None:
     version = -1
     while cell.unit.snapshot()["devices"]["gripper"]["lifecycle"] == "disconnected":
         version = await cell.unit.wait_change(version)
+
+
+ENDS = ("Complete", "Held", "Stopped", "Aborted", "Suspended")
+
+
+async def job(cell: Cell) -> str:
+    """Connect, start a job and return the state that it ends in."""
+    await connected(cell)
+    await cell.start()
+    return await cell.reaches(*ENDS)
+
+
+def see(cell: Cell, as_seen: Callable[[int, StereoLook, Perception], Perception]) -> None:
+    """Let looks, counted from 0, see what a function makes of what is there."""
+    plain, number = cell.unit.equipment.perceive, count()
+    equipment = replace(cell.unit.equipment, perceive=lambda look: as_seen(next(number), look, plain(look)))
+    cell.unit = Unit(equipment, simulation=True)
 
 
 async def in_step(cell: Cell, step: str, *, moves_done: int = 0) -> None:

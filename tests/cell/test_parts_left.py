@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from srvs_cell.cell import Unit
 from srvs_cell.scene import UNKNOWN_KIND
-from tests.cell.support import PARAMETERS, Cell, build, connected, running
+from tests.cell.support import PARAMETERS, Cell, build, job, running, see
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from srvs_cell.config import CellParameters
     from srvs_cell.scene import Perception
 
-ENDS = ("Complete", "Held", "Aborted", "Stopped", "Suspended")
 LEAVE = replace(PARAMETERS, unmovable_parts="leave")
 UNKNOWN: dict[str, Any] = {"kind": UNKNOWN_KIND}
 TOO_WIDE: dict[str, Any] = {"grasp": None, "grasp_refusal": "91.0 mm wide, the gripper opens to 80.0 mm"}
@@ -28,24 +26,15 @@ TOO_WIDE: dict[str, Any] = {"grasp": None, "grasp_refusal": "91.0 mm wide, the g
 def with_a_part(tmp_path: Path, what: dict[str, Any], parameters: CellParameters, looks: int = 100) -> Cell:
     """Return a cell that in its first looks sees the middle part as something that cannot be taken."""
     cell = build(tmp_path, parameters=parameters)
-    plain, seen = cell.unit.equipment.perceive, []
 
-    def perceive(look: StereoLook) -> Perception:
-        perception = plain(look)
-        seen.append(look)
-        if len(seen) > looks:
+    def as_seen(number: int, _: StereoLook, perception: Perception) -> Perception:
+        if number >= looks:
             return perception
         low, middle, tall = perception.workpieces
         return replace(perception, workpieces=(low, replace(middle, **what), tall))
 
-    cell.unit = Unit(replace(cell.unit.equipment, perceive=perceive), simulation=True)
+    see(cell, as_seen)
     return cell
-
-
-async def job(cell: Cell) -> str:
-    await connected(cell)
-    await cell.start()
-    return await cell.reaches(*ENDS)
 
 
 def told(cell: Cell) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -12,7 +11,7 @@ from drivers.sim.doubles import Block
 from srvs_cell.cell import Unit
 from srvs_cell.config import RetryParameters
 from srvs_cell.planning import PlanningParameters
-from tests.cell.support import PARAMETERS, Cell, build, connected, in_step, running, three_blocks
+from tests.cell.support import ENDS, PARAMETERS, Cell, build, connected, in_step, job, running, see, three_blocks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from srvs_cell.ports import GripState
     from srvs_cell.scene import Perception
 
-ENDS = ("Complete", "Held", "Stopped", "Aborted", "Suspended")
 PLACES = {(300.0, 120.0), (300.0, 0.0), (300.0, -120.0)}
 
 
@@ -40,12 +38,6 @@ def disturbed(cell: Cell, hands: dict[int, Callable[[], None]]) -> list[int]:
 
     cell.unit = Unit(replace(cell.unit.equipment, perceive=perceive), simulation=True)
     return looks
-
-
-async def job(cell: Cell) -> str:
-    await connected(cell)
-    await cell.start()
-    return await cell.reaches(*ENDS)
 
 
 def block(cell: Cell, name: str) -> Block:
@@ -158,19 +150,16 @@ async def test_a_gripper_that_goes_on_dropping_parts_holds_the_cell(tmp_path: Pa
 
 def misjudged(cell: Cell, numbers: Sequence[int]) -> None:
     """Let looks of these numbers take the first part for 15 mm higher than it is."""
-    plain = cell.unit.equipment.perceive
-    number = count()
 
-    def perceive(look: StereoLook) -> Perception:
-        perception = plain(look)
-        if next(number) not in numbers:
+    def as_seen(number: int, _: StereoLook, perception: Perception) -> Perception:
+        if number not in numbers:
             return perception
         first, *others = perception.workpieces
         x_mm, y_mm, z_mm = first.position_mm
         higher = replace(first, position_mm=(x_mm, y_mm, z_mm + 15.0), height_mm=first.height_mm + 15.0)
         return replace(perception, workpieces=(higher, *others))
 
-    cell.unit = Unit(replace(cell.unit.equipment, perceive=perceive), simulation=True)
+    see(cell, as_seen)
 
 
 async def test_one_look_is_not_believed_against_the_plan(tmp_path: Path) -> None:

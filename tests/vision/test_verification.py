@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
+import pytest
 
 from srvs_cell.scene import UNKNOWN_KIND, PlaneImage
 from srvs_cell.vision.face_fit import EdgeField, FaceFit
@@ -14,23 +17,46 @@ from srvs_cell.vision.tops import Top
 from srvs_cell.vision.verification import verify_tops
 from tests.vision.painted import SIZE, TABLE_Z_MM, cuboid, paint, planes, rig
 
+if TYPE_CHECKING:
+    from srvs_cell.geometry import Array
+    from srvs_cell.vision.faces import Face
+    from tests.vision.painted import Part
+
 BOX = cuboid(490.0, 80.0, 40.0, 20.0, (60.0, 40.0), 180)
 SHADOW = cuboid(520.0, 0.0, 0.0, 40.0, (50.0, 40.0), 70)
 
 
-def test_a_shadow_that_edges_took_for_a_top_is_dropped() -> None:
+LABEL = cuboid(490.0, 80.0, 40.0, 20.0, (22.0, 18.0), 70)
+
+
+def verified(parts: list[Part], tops: list[Top]) -> tuple[list[Top], list[Array]]:
+    """Verify tops against the picture of parts; no plane was found in it."""
     cameras = rig()
-    left, right = paint([BOX, SHADOW], cameras)
+    left, right = paint(parts, cameras)
     seen = np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)
     relief = measure_relief(RectifiedPair(left, right, seen, seen, cameras), TABLE_Z_MM, None)
-    # false matches gave the shadow a height: there it shares its place with no other face
-    false = cuboid(520.0, 0.0, 10.0, 40.0, (50.0, 40.0), 70).face
-    tops = [Top(FaceFit(face, 0.01 * np.eye(3), 0.3, 1.0), (number,)) for number, face in enumerate((BOX.face, false))]
     nothing = np.zeros((SIZE[1], SIZE[0]), np.int32)
     images = (PlaneImage(left, nothing, ()), PlaneImage(right, nothing, ()))
     fields = (EdgeField.of(left), EdgeField.of(right))
-    standing, unseen = verify_tops(tops, relief, images, fields, cameras, TABLE_Z_MM, RecognitionParameters())
-    assert [top.surfaces for top in standing] == [(0,)]
+    return verify_tops(tops, relief, images, fields, cameras, TABLE_Z_MM, RecognitionParameters())
+
+
+def top(face: Face, rms_px: float, surface: int) -> Top:
+    return Top(FaceFit(face, 0.01 * np.eye(3), rms_px, 1.0), (surface,))
+
+
+def test_a_face_stands_against_the_print_on_it() -> None:
+    standing, unseen = verified([BOX, LABEL], [top(LABEL.face, 0.01, 0)])
+    (face,) = [one.fit.face for one in standing]
+    assert sorted((face.length_mm, face.width_mm)) == pytest.approx([40.0, 60.0], abs=0.5)
+    assert unseen == []
+
+
+def test_a_shadow_that_edges_took_for_a_top_is_dropped() -> None:
+    # false matches gave the shadow a height: there it shares its place with no other face
+    false = cuboid(520.0, 0.0, 10.0, 40.0, (50.0, 40.0), 70).face
+    standing, unseen = verified([BOX, SHADOW], [top(BOX.face, 0.3, 0), top(false, 0.3, 1)])
+    assert [one.surfaces for one in standing] == [(0,)]
     assert unseen == []
 
 

@@ -17,6 +17,8 @@ for pair in "${host_tools[@]}"; do
 	command -v "${pair%%:*}" >/dev/null || missing+=("${pair#*:}")
 done
 
+guest=$cache/root # the machine's files
+
 # Installs the wheel as docs/how-to/install-service.md has it, by the guest's own Python, but at the speed of this
 # processor; the service cannot write its byte code.
 make_disk() {
@@ -29,15 +31,15 @@ make_disk() {
 	[ "$(cat "$cache/disk" 2>/dev/null)" = "$sum" ] && return
 	[ "$(id -u)" = 0 ] || skip "needs root to install the wheel in the machine."
 	rm -f "$cache/disk" "$cache/root.img"
-	cp "$wheel" "$cache/root/"
+	cp "$wheel" "$guest"
 	in_guest -m pip install --quiet --no-index --no-deps --force-reinstall --no-compile "/${wheel##*/}"
-	rm "$cache/root/${wheel##*/}"
+	rm "$guest/${wheel##*/}"
 	in_guest -m compileall -q -j 0 -x '/tests/' /opt/srvs-cell/lib
-	truncate -s "$(($(du -sm "$cache/root" | cut -f1) + 400))M" "$cache/root.img"
-	mkfs.ext4 -q -F -m 0 -O '^has_journal' -d "$cache/root" "$cache/root.img"
+	truncate -s "$(($(du -sm "$guest" | cut -f1) + 400))M" "$cache/root.img"
+	mkfs.ext4 -q -F -m 0 -O '^has_journal' -d "$guest" "$cache/root.img"
 	echo "$sum" >"$cache/disk"
 }
-in_guest() { env -i PATH="$PATH" chroot "$cache/root" /opt/srvs-cell/bin/python "$@"; }
+in_guest() { env -i PATH="$PATH" chroot "$guest" /opt/srvs-cell/bin/python "$@"; }
 
 if [ ${#missing[@]} = 0 ] && [ "$(cat "$cache/stamp" 2>/dev/null)" = "$stamp" ]; then
 	make_disk
@@ -119,36 +121,35 @@ guest_python=$(apt-cache show python3 | sed -n 's/^Version: \([0-9]*\.[0-9]*\).*
 say "Python packages (after $((SECONDS - started)) s)"
 
 wait "$debian" || { cat "$w/root.log" >&2; exit 1; }
-mv "$w/root" "$cache/root"
-r=$cache/root
-mkdir "$r/wheels"
-cp "$w/lock.txt" "$r/wheels/"
-ln -f "$cache"/wheels/*.whl "$r/wheels/"
-env -i PATH="$PATH" chroot "$r" python3 -m venv /opt/srvs-cell
+mv "$w/root" "$guest"
+mkdir "$guest/wheels"
+cp "$w/lock.txt" "$guest/wheels/"
+ln -f "$cache"/wheels/*.whl "$guest/wheels/"
+env -i PATH="$PATH" chroot "$guest" python3 -m venv /opt/srvs-cell
 in_guest -m pip install --quiet --no-compile --no-index --find-links /wheels --require-hashes -r /wheels/lock.txt
-rm -rf "$r/wheels"
+rm -rf "$guest/wheels"
 say "Debian $suite with /opt/srvs-cell (after $((SECONDS - started)) s)"
 
 { module_files "${modules[@]}" && cat "$w/initrd/modules.order"; } | sort -u >"$w/modules"
-(cd "$w/kernel" && { cat "$w/modules" && ls lib/modules/"$version"/modules.{builtin,builtin.modinfo,order}; } | cpio -pdm --quiet "$r/usr")
-depmod -b "$r" "$version"
-install -m 755 "$here/machine/bench-job" "$r/usr/local/sbin/"
-install -m 644 "$here"/machine/bench.{service,target} "$r/etc/systemd/system/"
-mkdir -p "$r/etc/systemd/system/bench.target.wants"
-ln -s ../bench.service "$r/etc/systemd/system/bench.target.wants/"
-ln -sf /etc/systemd/system/bench.target "$r/etc/systemd/system/default.target"
+(cd "$w/kernel" && { cat "$w/modules" && ls lib/modules/"$version"/modules.{builtin,builtin.modinfo,order}; } | cpio -pdm --quiet "$guest/usr")
+depmod -b "$guest" "$version"
+install -m 755 "$here/machine/bench-job" "$guest/usr/local/sbin/"
+install -m 644 "$here"/machine/bench.{service,target} "$guest/etc/systemd/system/"
+mkdir -p "$guest/etc/systemd/system/bench.target.wants"
+ln -s ../bench.service "$guest/etc/systemd/system/bench.target.wants/"
+ln -sf /etc/systemd/system/bench.target "$guest/etc/systemd/system/default.target"
 # Work at boot that a throw-away machine does not need.
 while read -r unit; do
-	ln -sf /dev/null "$r/etc/systemd/system/$unit"
+	ln -sf /dev/null "$guest/etc/systemd/system/$unit"
 done <"$here/machine/masked-units"
-echo cell-pc >"$r/etc/hostname"
-echo 127.0.0.1 localhost cell-pc >"$r/etc/hosts"
+echo cell-pc >"$guest/etc/hostname"
+echo 127.0.0.1 localhost cell-pc >"$guest/etc/hosts"
 # A fixed machine id keeps systemd from taking this for a first boot.
-echo 0123456789abcdef0123456789abcdef >"$r/etc/machine-id"
-mkdir -p "$r/etc/systemd/journald.conf.d"
-printf '[Journal]\nStorage=volatile\nRateLimitBurst=0\n' >"$r/etc/systemd/journald.conf.d/bench.conf"
-: >"$r/etc/fstab"
-rm -rf "$r"/var/cache/apt/* "$r"/var/lib/apt/lists/*
+echo 0123456789abcdef0123456789abcdef >"$guest/etc/machine-id"
+mkdir -p "$guest/etc/systemd/journald.conf.d"
+printf '[Journal]\nStorage=volatile\nRateLimitBurst=0\n' >"$guest/etc/systemd/journald.conf.d/bench.conf"
+: >"$guest/etc/fstab"
+rm -rf "$guest"/var/cache/apt/* "$guest"/var/lib/apt/lists/*
 
 make_disk
 echo "Debian $suite, kernel $version, Python $guest_python" >"$cache/description"
