@@ -106,7 +106,8 @@ class Block:
     Attributes:
         name: for people and tests.
         x_mm, y_mm: centre of the footprint, base frame.
-        length_mm, width_mm, height_mm: size; the length lies along base x.
+        length_mm, width_mm, height_mm: size.
+        yaw_deg: direction of the length, from base x towards base y.
         bottom_mm: height of its underside above the table.
     """
 
@@ -117,6 +118,7 @@ class Block:
     length_mm: float = 40.0
     width_mm: float = 30.0
     bottom_mm: float = 0.0
+    yaw_deg: float = 0.0
 
 
 @dataclass
@@ -126,33 +128,34 @@ class World:
     Attributes:
         blocks: everything there is.
         table_z_mm: height of the table in the base frame.
-        held: the block in the gripper with its position relative to the TCP.
+        held: the block in the gripper with its place in the TCP's level frame: x, y, z and yaw.
         dropped: names of blocks that were let go above the table or lost.
     """
 
     blocks: list[Block]
     table_z_mm: float = 0.0
-    held: tuple[Block, tuple[float, float, float]] | None = None
+    held: tuple[Block, tuple[float, float, float, float]] | None = None
     dropped: list[str] = field(default_factory=list)
 
     def grip(self, tcp: Xyzwpr) -> bool:
         """Take the block whose upper part is between the fingers; tell whether there is one."""
         for block in self.blocks:
-            inside = (
-                abs(tcp.x_mm - block.x_mm) < block.length_mm / 2 and abs(tcp.y_mm - block.y_mm) < block.width_mm / 2
-            )
+            along_mm, across_mm = _turned(tcp.x_mm - block.x_mm, tcp.y_mm - block.y_mm, -block.yaw_deg)
+            inside = abs(along_mm) < block.length_mm / 2 and abs(across_mm) < block.width_mm / 2
             depth_mm = self.table_z_mm + block.bottom_mm + block.height_mm - tcp.z_mm
             if inside and 0.0 < depth_mm <= block.height_mm:
                 bottom_mm = self.table_z_mm + block.bottom_mm - tcp.z_mm
-                self.held = (block, (block.x_mm - tcp.x_mm, block.y_mm - tcp.y_mm, bottom_mm))
+                level_mm = _turned(block.x_mm - tcp.x_mm, block.y_mm - tcp.y_mm, -tcp.r_deg)
+                self.held = (block, (*level_mm, bottom_mm, block.yaw_deg - tcp.r_deg))
                 return True
         return False
 
     def carry(self, tcp: Xyzwpr) -> None:
         """Move the held block along."""
         if self.held is not None:
-            block, (x_mm, y_mm, z_mm) = self.held
-            block.x_mm, block.y_mm = tcp.x_mm + x_mm, tcp.y_mm + y_mm
+            block, (x_mm, y_mm, z_mm, yaw_deg) = self.held
+            dx_mm, dy_mm = _turned(x_mm, y_mm, tcp.r_deg)
+            block.x_mm, block.y_mm, block.yaw_deg = tcp.x_mm + dx_mm, tcp.y_mm + dy_mm, tcp.r_deg + yaw_deg
             block.bottom_mm = tcp.z_mm + z_mm - self.table_z_mm
 
     def release(self) -> None:
@@ -168,6 +171,11 @@ class World:
         if self.held is not None:
             self.held[0].bottom_mm = math.inf
             self.release()
+
+
+def _turned(x_mm: float, y_mm: float, turn_deg: float) -> tuple[float, float]:
+    cos, sin = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+    return x_mm * cos - y_mm * sin, x_mm * sin + y_mm * cos
 
 
 class _FakeDevice:

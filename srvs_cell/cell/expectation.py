@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from srvs_cell.geometry import wrap_angle_deg
-from srvs_cell.planning import footprint_centroid_mm
+from srvs_cell.planning import footprint_centroid_mm, yaw_period_deg
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,12 +19,9 @@ if TYPE_CHECKING:
 
     from srvs_cell.config import ToleranceParameters
     from srvs_cell.geometry import Array
-    from srvs_cell.planning import CellPlan
+    from srvs_cell.planning import Carry, CellPlan
     from srvs_cell.scene import Point2, Workpiece
 
-_HALF_TURN_DEG, _QUARTER_DEG = 180.0, 90.0
-_OBLONG = 1.2
-"""Length over width from which on long and short side are not mistaken for each other."""
 _SAME_POINT_MM = 1e-6
 _NO_PAIR_MM = 1e6
 _BIN_MM = 50.0
@@ -33,7 +30,10 @@ _BIN_MM = 50.0
 
 @dataclass(frozen=True)
 class Expected:
-    """A workpiece and the point where its footprint's centroid should be; in a bin it need not be seen."""
+    """A workpiece, its yaw as it should be by now, and where its footprint's centroid should be.
+
+    In a bin it need not be seen.
+    """
 
     workpiece: Workpiece
     point_mm: Point2
@@ -55,24 +55,25 @@ class Comparison:
     added_mm: tuple[Point2, ...]
 
 
-def expected_now(
-    plan: CellPlan, workpieces: Sequence[Workpiece], offsets_mm: Mapping[int, Point2]
-) -> tuple[Expected, ...]:
+def expected_now(plan: CellPlan, workpieces: Sequence[Workpiece], carried: Mapping[int, Carry]) -> tuple[Expected, ...]:
     """Return where everything should stand that the plan was made from, after the moves that were carried out.
 
     Args:
         plan: the plan.
         workpieces: what was perceived before it.
-        offsets_mm: how far each workpiece has been carried since.
+        carried: how each workpiece has been carried since.
     """
     bins_mm = [goal.point_mm for goal in plan.goals if not goal.visible]
     found = []
     for workpiece in workpieces:
-        x_mm, y_mm = footprint_centroid_mm(workpiece.footprint_mm)
-        dx_mm, dy_mm = offsets_mm.get(workpiece.id, (0.0, 0.0))
-        point_mm = (x_mm + dx_mm, y_mm + dy_mm)
+        point_mm, part = footprint_centroid_mm(workpiece.footprint_mm), workpiece
+        if workpiece.id in carried:
+            carry = carried[workpiece.id]
+            point_mm = carry.to_mm
+            if workpiece.yaw_deg is not None:
+                part = replace(workpiece, yaw_deg=workpiece.yaw_deg + carry.turn_deg)
         in_bin = any(math.dist(point_mm, bin_mm) < _SAME_POINT_MM for bin_mm in bins_mm)
-        found.append(Expected(workpiece, point_mm, in_bin))
+        found.append(Expected(part, point_mm, in_bin))
     return tuple(found)
 
 
@@ -135,8 +136,7 @@ def _turned_deg(one: Workpiece, other: Workpiece) -> float:
     """Return by how much two sightings of a part differ in yaw; 0 where one of them has none."""
     if one.yaw_deg is None or other.yaw_deg is None:
         return 0.0
-    oblong = all(part.size_mm[0] > _OBLONG * part.size_mm[1] for part in (one, other))
-    return abs(wrap_angle_deg(one.yaw_deg - other.yaw_deg, _HALF_TURN_DEG if oblong else _QUARTER_DEG))
+    return abs(wrap_angle_deg(one.yaw_deg - other.yaw_deg, yaw_period_deg(one, other)))
 
 
 def _text(point_mm: Point2) -> str:

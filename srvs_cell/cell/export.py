@@ -61,6 +61,7 @@ def plan_json(plan: CellPlan) -> Json:
                 "grasp": move.grasp,
                 "from_mm": _rounded(move.from_mm),
                 "to_mm": _rounded(move.to_mm),
+                "turn_deg": round(move.turn_deg, 3),
                 "tops_mm": _rounded((move.tops.to_pick_mm, move.tops.carried_mm, move.tops.away_mm)),
             }
             for move in plan.moves

@@ -50,9 +50,8 @@ class Pick:
         if workpiece.grasp is None:
             raise AlarmError(Alarm.PLAN_INFEASIBLE, f"Workpiece {workpiece.id}: {workpiece.grasp_refusal}.")
         check_certainty(workpiece, job.equipment.parameters.tolerance)
-        offset_mm = job.offsets_mm.get(workpiece.id, (0.0, 0.0))
-        hand = job.equipment.parameters.hand()
-        at = hand.grasp_pose(workpiece.grasp.choices[self.move.grasp], offset_mm)
+        carried, hand = job.carried_before(self.move), job.equipment.parameters.hand()
+        at = hand.grasp_pose(carried.grasp(workpiece.grasp.choices[self.move.grasp]), self.move.turn_deg)
         part = held_part(workpiece, self.move, at, hand)
         way, lifted = hand.pick_way(at, _tops(job, self.move))
         evidence: dict[str, object] = {"workpiece": workpiece.id, "kind": workpiece.kind, "grasp": list(at.as_tuple())}
@@ -89,7 +88,8 @@ class Place:
         arm, move = job.manipulator, self.move
         if job.dry_run:
             # The hand is above the workpiece that it did not take.
-            target = replace(await arm.pose(), x_mm=move.to_mm[0], y_mm=move.to_mm[1])
+            above = await arm.pose()
+            target = replace(above, x_mm=move.to_mm[0], y_mm=move.to_mm[1], r_deg=above.r_deg + move.turn_deg)
             await arm.move_linear(target, job.equipment.parameters.motion.travel_speed_mm_s, "above the place")
         else:
             part = arm.hand.held
@@ -97,11 +97,7 @@ class Place:
                 raise AlarmError(Alarm.GRIP_LOST, f"Workpiece {move.workpiece} is not in the gripper.")
             hand = job.equipment.parameters.hand()
             await _put_down(job, *hand.place_way(part.place, part.hang_mm, _tops(job, move)))
-        x_mm, y_mm = job.offsets_mm.get(move.workpiece, (0.0, 0.0))
-        job.offsets_mm[move.workpiece] = (
-            x_mm + move.to_mm[0] - move.from_mm[0],
-            y_mm + move.to_mm[1] - move.from_mm[1],
-        )
+        job.carried[move.workpiece] = job.carried_before(move).then(move.carry)
         job.progress.moves_done += 1
         job.progress.moves_left -= 1
         return Outcome({"workpiece": move.workpiece, "to_mm": list(move.to_mm)})

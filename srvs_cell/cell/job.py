@@ -13,6 +13,7 @@ import structlog
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.journal import GripperKnowledge
 from srvs_cell.cell.recovery import BETTER_SEEN_AGAIN, CARRYING, Recovery, StepName, decide
+from srvs_cell.planning import Carry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from srvs_cell.cell.senses import AnalyseLeft, Perceive, Pictures, PlanJob
     from srvs_cell.config import CellParameters
     from srvs_cell.geometry import Transform
-    from srvs_cell.planning import CellPlan
+    from srvs_cell.planning import CellMove, CellPlan
     from srvs_cell.scene import Point2, Workpiece
 
 _log = structlog.stdlib.get_logger("srvs_cell.cell")
@@ -147,7 +148,7 @@ class Job:
         places_mm: the places that the job is about: those that were occupied when it first planned, and of parts that
             were added since.
         sightings: what each look saw since the last confirmation.
-        offsets_mm: how far each workpiece has been carried since it was perceived.
+        carried: how each workpiece has been carried since it was perceived.
         finish: end at the next moment at which the gripper is empty.
     """
 
@@ -177,7 +178,7 @@ class Job:
         self.aside = False
         self.places_mm: tuple[Point2, ...] = ()
         self.sightings: list[tuple[Workpiece, ...]] = []
-        self.offsets_mm: dict[int, Point2] = {}
+        self.carried: dict[int, Carry] = {}
         self.finish = False
         self._steps: deque[Step] = deque(steps)
         self._start_over = start_over
@@ -196,6 +197,10 @@ class Job:
             if single_step and self._steps:
                 return JobEnd(End.PAUSED)
         return JobEnd(End.FINISHED)
+
+    def carried_before(self, move: CellMove) -> Carry:
+        """Return how a move's workpiece had been carried before it, since it was perceived."""
+        return self.carried.get(move.workpiece, Carry(move.from_mm, move.from_mm))
 
     def next_step(self) -> StepName | None:
         """Return the step that is waiting at the head of the queue."""

@@ -45,5 +45,4 @@ class HeldPart:
 
 def held_part(workpiece: Workpiece, move: CellMove, at: Xyzwpr, hand: HandMotion) -> HeldPart:
     """Return the part that a grip at ``at`` takes, with the pose that puts its reference point on the goal."""
-    place = hand.release_pose(at, (move.to_mm[0] - move.from_mm[0], move.to_mm[1] - move.from_mm[1]))
-    return HeldPart(workpiece.id, workpiece.kind, place, hand.hang_mm(at))
+    return HeldPart(workpiece.id, workpiece.kind, hand.release_pose(at, move.carry), hand.hang_mm(at))

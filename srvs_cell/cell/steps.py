@@ -108,7 +108,7 @@ class Plan:
         for move in plan.moves:
             check_certainty(by_id[move.workpiece], parameters.tolerance)
         job.progress.plan, job.progress.moves_left = plan, len(plan.moves)
-        job.offsets_mm = {}
+        job.carried = {}
         if not job.places_mm:
             job.places_mm = tuple(footprint_centroid_mm(by_id[number].footprint_mm) for number in plan.table.workpieces)
         steps: list[Step] = []
@@ -136,7 +136,7 @@ class Verify:
         tolerance, plan = job.equipment.parameters.tolerance, job.progress.plan
         if plan is None:
             raise AlarmError(Alarm.INTERNAL_ERROR, "There is no plan to verify.")
-        expected = expected_now(plan, job.progress.workpieces, job.offsets_mm)
+        expected = expected_now(plan, job.progress.workpieces, job.carried)
         found = compare(expected, job.progress.verified, tolerance)
         errors = {str(identifier): error_mm for identifier, error_mm in found.errors_mm.items()}
         evidence = {"tolerance_mm": tolerance.verify_mm, "errors_mm": errors, "changes": list(found.changes)}

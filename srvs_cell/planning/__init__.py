@@ -2,6 +2,7 @@
 
 from srvs_cell.planning.arm import ArmParameters
 from srvs_cell.planning.buffers import Workspace
+from srvs_cell.planning.carrying import Carry, yaw_period_deg
 from srvs_cell.planning.explain import explain, what_would_help
 from srvs_cell.planning.hand import Approach, HandMotion
 from srvs_cell.planning.kept_places import KeptPlaces
@@ -40,6 +41,7 @@ __all__ = [
     "Approach",
     "ArmParameters",
     "AssignGoal",
+    "Carry",
     "CellGoal",
     "CellMove",
     "CellPlan",
@@ -80,4 +82,5 @@ __all__ = [
     "validate",
     "what_would_help",
     "why_not_taken",
+    "yaw_period_deg",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +17,11 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Array, Xyzwpr
     from srvs_cell.planning.arm import ArmParameters
     from srvs_cell.planning.buffers import Workspace
+    from srvs_cell.planning.carrying import Carry
     from srvs_cell.planning.hand import HandMotion
-    from srvs_cell.scene import Grasp, Point2
+    from srvs_cell.scene import Grasp
+
+_HALF_TURN_DEG = 180.0
 
 
 class Access:
@@ -33,15 +37,15 @@ class Access:
         self._hand, self._workspace = hand, workspace
         self._reach = None if arm is None else ArmReach(arm, hand.observe)
 
-    def why_not(self, grasp: Grasp, offset_mm: Point2, top_mm: float) -> str:
-        """Return why a workpiece cannot be gripped after it was moved by an offset, or an empty string.
+    def why_not(self, grasp: Grasp, carry: Carry, top_mm: float) -> str:
+        """Return why a workpiece cannot be put down after it was carried, or an empty string.
 
         Args:
             grasp: of the workpiece where it was seen.
-            offset_mm: from there.
+            carry: from there.
             top_mm: its height at most: the hand comes down from above it.
         """
-        at = self._hand.grasp_pose(grasp, offset_mm)
+        at = self._hand.carried_pose(self._hand.grasp_pose(grasp, carry.turn_deg), carry)
         low_mm, high_mm = self._hand.z_mm
         if not low_mm <= at.z_mm <= high_mm:
             return f"the grasp at z = {at.z_mm:.1f} mm is outside the workspace's {low_mm:g} to {high_mm:g} mm"
@@ -51,7 +55,10 @@ class Access:
         return "" if self._reach is None else self._reach.why_not(self._column(at, top_mm))
 
     def mask(self, grasp: Grasp, offsets_mm: Array, top_mm: float) -> NDArray[np.bool_]:
-        """Return, per offset (N, 2), whether a workpiece can be gripped there, looking at both ends of the way down."""
+        """Return, per offset (N, 2), whether a workpiece can be gripped there, not turned.
+
+        Both ends of the way down are looked at.
+        """
         low = self._hand.grasp_pose(grasp)
         x_mm, y_mm = offsets_mm[:, 0] + low.x_mm, offsets_mm[:, 1] + low.y_mm
         free: NDArray[np.bool_] = self._workspace.holds(x_mm, y_mm)
@@ -66,6 +73,9 @@ class Access:
     def why_not_way(self, way: list[Xyzwpr]) -> str:
         """Return why the TCP cannot go straight from pose to pose, or an empty string."""
         low_mm, high_mm = self._hand.z_mm
+        if any(abs(after.r_deg - before.r_deg) > _HALF_TURN_DEG for before, after in pairwise(way)):
+            # A controller takes the shorter way round, which would wind up the wrist.
+            return "the wrist would turn by more than half a turn"
         for pose in way:
             if not low_mm <= pose.z_mm <= high_mm:
                 return f"z = {pose.z_mm:.1f} mm is outside the workspace's {low_mm:g} to {high_mm:g} mm"

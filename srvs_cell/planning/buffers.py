@@ -97,7 +97,7 @@ def better_buffer(
     candidates, ways_mm = candidates[nearer], ways_mm[nearer]
     elsewhere = replace(problem, places=problem.places[:-1])
     everywhere = [place.id for place in elsewhere.places if place.kind is not PlaceKind.BIN]
-    standings = [_Standing(item, _points(elsewhere, everywhere)) for item in problem.objects]
+    standings = [each for item in problem.objects for each in _standings(item, elsewhere, everywhere)]
     best = _first_clear(candidates[np.argsort(ways_mm)], movers, standings, problem, workspace, allowed)
     if best is None:
         return None
@@ -106,10 +106,19 @@ def better_buffer(
 
 @dataclass(frozen=True)
 class _Standing:
-    """An object and the points (S, 2) where it may stand while something is in the buffer place."""
+    """An object, as it stands there, and the points (S, 2) where it may while something is in the buffer place."""
 
     item: ProblemObject
     points_mm: Array
+
+
+def _standings(item: ProblemObject, problem: Problem, places: Sequence[int]) -> list[_Standing]:
+    """Return an object in each orientation that it has on some places, with those places."""
+    return [
+        _Standing(shape, _points(problem, there))
+        for shape, mask in item.orientations(len(problem.places))
+        if (there := [place for place in places if mask >> place & 1])
+    ]
 
 
 Allowed = Callable[["ProblemObject", Array], NDArray[np.bool_]]
@@ -136,11 +145,12 @@ def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float, allowed:
     """
     misplaced = goal_rule(problem).misplaced(tuple(item.start for item in problem.objects))
     wrong = [problem.objects[item] for item in misplaced] or list(problem.objects)
-    everywhere = _points(problem, [place.id for place in problem.places])
+    everywhere = [place.id for place in problem.places]
     now = [_Standing(item, _points(problem, [item.start])) for item in problem.objects]
+    anywhere = [each for item in problem.objects for each in _standings(item, problem, everywhere)]
     moving = {item.id for item in wrong}
-    by_then = [replace(each, points_mm=everywhere) if each.item.id in moving else each for each in now]
-    anywhere = [replace(each, points_mm=everywhere) for each in now]
+    by_then = [each for each in anywhere if each.item.id in moving]
+    by_then += [each for each in now if each.item.id not in moving]
     candidates = _by_detour(_grid(workspace, grid_mm), problem, wrong)
     choices = [(list(problem.objects), anywhere), (wrong, by_then), *(([mover], now) for mover in wrong)]
     point = None

@@ -90,26 +90,31 @@ def conflict_table(problem: Problem) -> ConflictTable:
     points = np.array([[place.x_mm, place.y_mm] for place in problem.places], dtype=np.float64).reshape(-1, 2)
     count = len(problem.places)
     hits = _Hits(points, np.array(solid, dtype=bool))
+    orientations = [item.orientations(count) for item in problem.objects]
     standable, blocked_by, grip_blocked_by = [], [], []
     for item in problem.objects:
-        clear = np.ones(count, dtype=bool)
-        for obstacle in problem.obstacles:
-            clear &= ~_hits_obstacle(item.footprint, points, obstacle, problem.clearance_mm)
+        clear = (1 << count) - 1
+        for shape, at in orientations[item.id]:
+            for obstacle in problem.obstacles:
+                clear &= ~(at & _hits_obstacle(shape.footprint, points, obstacle, problem.clearance_mm))
         blocked = {place for place, _ in item.blocked}
         standable.append(
             tuple(
-                place.reachable and place.id not in blocked and (bool(clear[place.id]) or not solid[place.id])
+                place.reachable and place.id not in blocked and (bool(clear >> place.id & 1) or not solid[place.id])
                 for place in problem.places
             )
         )
-        others = [other for other in problem.objects if other.id != item.id]
+        others = [each for other in problem.objects if other.id != item.id for each in orientations[other.id]]
         masks = [0] * count
-        for other in others:
-            for place, places in hits.of(item.footprint, other.footprint, problem.clearance_mm):
-                masks[place] |= places << (other.id * count)
+        grips = [[0] * count for _ in item.grips or (None,)]
+        for shape, at in orientations[item.id]:
+            for other, other_at in others:
+                for place, places in hits.of(shape.footprint, other.footprint, problem.clearance_mm):
+                    if at >> place & 1:
+                        masks[place] |= (places & other_at) << (other.id * count)
+            for grip, grip_masks in zip(shape.grips, grips, strict=False):
+                _add_grip(grip_masks, grip, at, points, problem.obstacles, others, hits)
         blocked_by.append(tuple(masks))
-        grips = [_grip_masks(grip, points, solid, problem.obstacles, others, hits) for grip in item.grips]
-        grips = grips or [[0] * count]
         for number, grip_masks in enumerate(grips):
             for place in blocked.union(item.grips[number].blocked if item.grips else ()):
                 grip_masks[place] = NEVER
@@ -120,7 +125,7 @@ def conflict_table(problem: Problem) -> ConflictTable:
         blocked_by=tuple(blocked_by),
         grip_blocked_by=tuple(grip_blocked_by),
         pickable=tuple(place.reachable and solid[place.id] for place in problem.places),
-        single=sum(1 << place.id for place in problem.places if solid[place.id]),
+        single=hits.solid,
     )
 
 
@@ -231,6 +236,9 @@ class _Hits:
     """Where two shapes are too close, over all pairs of places; kept per pair of shapes, because many are alike.
 
     Bins take no part, and two objects never stand on one place: the search looks at free places only.
+
+    Attributes:
+        solid: mask of the places that are no bins.
     """
 
     def __init__(self, points: Array, solid: NDArray[np.bool_]) -> None:
@@ -239,6 +247,7 @@ class _Hits:
         self._distance_mm = np.where(apart, np.linalg.norm(self._displacement_mm, axis=-1), np.inf)
         self._least_mm = float(self._distance_mm.min(initial=np.inf))
         self._known: dict[tuple[Footprint, Footprint, float], list[tuple[int, int]]] = {}
+        self.solid = sum(1 << place for place in np.flatnonzero(solid).tolist())
 
     def of(self, a: Footprint, b: Footprint, clearance_mm: float) -> list[tuple[int, int]]:
         """Return (place of A, mask of the places where B is too close to it) wherever there is any."""
@@ -263,28 +272,32 @@ def outer_radius_mm(shape: Footprint) -> float:
     return float(np.linalg.norm(_core(shape), axis=-1).max()) + _radius_mm(shape)
 
 
-def _hits_obstacle(shape: Footprint, points: Array, obstacle: Obstacle, clearance_mm: float) -> NDArray[np.bool_]:
+def _hits_obstacle(shape: Footprint, points: Array, obstacle: Obstacle, clearance_mm: float) -> int:
+    """Return the mask of the places where a shape is too close to an obstacle."""
     displacement = np.array([obstacle.x_mm, obstacle.y_mm]) - points
-    return too_close(shape, obstacle.footprint, displacement, clearance_mm)
+    hit = too_close(shape, obstacle.footprint, displacement, clearance_mm)
+    return sum(1 << place for place in np.flatnonzero(hit).tolist())
 
 
-def _grip_masks(
+def _add_grip(
+    masks: list[int],
     grip: FingerGrip,
+    at: int,
     points: Array,
-    solid: list[bool],
     obstacles: tuple[Obstacle, ...],
-    others: list[ProblemObject],
+    others: list[tuple[ProblemObject, int]],
     hits: _Hits,
-) -> list[int]:
-    masks = [0] * len(points)
+) -> None:
+    """Add to the masks of a grip, one a place, what is in its way on the places of the mask ``at``."""
     for shape, bottom_mm in hand_solids(grip):
-        for other in others:
+        for other, other_at in others:
             if other.top_mm > bottom_mm:
                 for place, places in hits.of(shape, other.footprint, 0.0):
-                    masks[place] |= places << (other.id * len(points))
+                    if at >> place & 1:
+                        masks[place] |= (places & other_at) << (other.id * len(points))
         for obstacle in obstacles:
             if obstacle.top_mm > bottom_mm:
-                for place in np.flatnonzero(_hits_obstacle(shape, points, obstacle, 0.0)).tolist():
-                    if solid[place]:
+                hit = at & hits.solid & _hits_obstacle(shape, points, obstacle, 0.0)
+                for place in range(len(points)):
+                    if hit >> place & 1:
                         masks[place] = NEVER
-    return masks

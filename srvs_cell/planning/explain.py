@@ -67,7 +67,10 @@ def _objects(problem: Problem, answer: RelocationPlan) -> Iterator[str]:
     for number, move in enumerate(answer.moves, start=1):
         final = rule.allowed[move.object] >> move.to_place & 1
         why = "" if final else _why_not_at_once(problem, table, arrangement, move, rule.allowed[move.object])
-        ways[move.object].append(f"move {number} to {_place(problem, move.to_place)}{why}")
+        item = problem.objects[move.object]
+        turn_deg = item.turn_deg(move.to_place) - item.turn_deg(move.from_place)
+        turned = f", turned by {turn_deg:.0f} deg" if turn_deg else ""
+        ways[move.object].append(f"move {number} to {_place(problem, move.to_place)}{turned}{why}")
         arrangement = after(arrangement, (move.object, move.from_place, move.to_place))
     for item in problem.objects:
         right = rule.allowed[item.id] >> item.start & 1

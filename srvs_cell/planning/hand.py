@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Self
 from srvs_cell.geometry import Xyzwpr, wrap_angle_deg
 
 if TYPE_CHECKING:
+    from srvs_cell.planning.carrying import Carry
     from srvs_cell.planning.legs import LegTops
-    from srvs_cell.scene import Grasp, Point2
+    from srvs_cell.scene import Grasp
 
 _TOOL_DOWN_W_DEG = 180.0
 _QUARTER_DEG = 90.0
@@ -68,15 +69,21 @@ class HandMotion:
     approach_speed_mm_s: float
     looks_between: bool = False
 
-    def grasp_pose(self, grasp: Grasp, offset_mm: Point2 = (0.0, 0.0)) -> Xyzwpr:
-        """Return the TCP pose of a grasp whose workpiece has meanwhile been moved by ``offset_mm``."""
-        x_mm, y_mm, z_mm = grasp.position_mm
-        r_deg = tool_rotation_deg(grasp.yaw_deg, self.jaw_axis, self.observe.r_deg)
-        return Xyzwpr(x_mm + offset_mm[0], y_mm + offset_mm[1], z_mm, _TOOL_DOWN_W_DEG, 0.0, r_deg)
+    def grasp_pose(self, grasp: Grasp, turn_deg: float = 0.0) -> Xyzwpr:
+        """Return the TCP pose of a grasp whose workpiece is to be turned by ``turn_deg`` in the hand."""
+        # Half of the turn to either side of where R is nearest to the observe pose's.
+        half_deg = turn_deg / 2.0
+        r_deg = tool_rotation_deg(grasp.yaw_deg + half_deg, self.jaw_axis, self.observe.r_deg) - half_deg
+        return Xyzwpr(*grasp.position_mm, _TOOL_DOWN_W_DEG, 0.0, r_deg)
 
-    def release_pose(self, at: Xyzwpr, offset_mm: Point2) -> Xyzwpr:
-        """Return the TCP pose that lets a workpiece go, gripped at ``at``, that is carried by ``offset_mm``."""
-        return replace(at, x_mm=at.x_mm + offset_mm[0], y_mm=at.y_mm + offset_mm[1], z_mm=at.z_mm + self.release_gap_mm)
+    def carried_pose(self, at: Xyzwpr, carry: Carry) -> Xyzwpr:
+        """Return the TCP pose at which a workpiece, gripped at ``at``, has been carried."""
+        x_mm, y_mm = carry.point((at.x_mm, at.y_mm))
+        return replace(at, x_mm=x_mm, y_mm=y_mm, r_deg=at.r_deg + carry.turn_deg)
+
+    def release_pose(self, at: Xyzwpr, carry: Carry) -> Xyzwpr:
+        """Return the TCP pose that lets a workpiece go, gripped at ``at``, that is carried."""
+        return replace(self.carried_pose(at, carry), z_mm=at.z_mm + self.release_gap_mm)
 
     def hang_mm(self, at: Xyzwpr) -> float:
         """Return how far a workpiece that is gripped at ``at`` on the table reaches below the TCP."""

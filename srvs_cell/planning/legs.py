@@ -96,7 +96,7 @@ class _Table:
         for item in self._problem.objects:
             if item is not held:
                 place = self._problem.places[stands[item.id]]
-                yield item.footprint, (place.x_mm, place.y_mm), item.top_mm
+                yield item.at(place.id).footprint, (place.x_mm, place.y_mm), item.top_mm
         for obstacle in self._problem.obstacles:
             yield obstacle.footprint, (obstacle.x_mm, obstacle.y_mm), obstacle.top_mm
 

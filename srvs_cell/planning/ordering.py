@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from srvs_cell.planning.moves import Arrangement, Step
-    from srvs_cell.planning.problem import Footprint, Problem
+    from srvs_cell.planning.problem import Footprint, Problem, ProblemObject
     from srvs_cell.planning.travel import Distances
 
 Array = NDArray[np.float64]
@@ -97,28 +97,27 @@ def _events(problem: Problem, start: Arrangement, target: Arrangement) -> _Event
         return None
     if any(place in used for item in problem.objects for place, _ in item.blocked):
         return None
-    starts = np.array([(places[place].x_mm, places[place].y_mm) for place in start])
-    goals = np.array([(places[place].x_mm, places[place].y_mm) for place in target])
-    if _obstructed(problem, starts, goals):
+    points = [np.array([(places[place].x_mm, places[place].y_mm) for place in ends]) for ends in (start, target)]
+    items = [[item.at(ends[item.id]) for item in problem.objects] for ends in (start, target)]
+    if _obstructed(problem, items, points):
         return None
-    shapes = [item.footprint for item in problem.objects]
-    hands = [hand_solids(grip) for item in problem.objects for grip in item.grips]
+    shapes = [[item.footprint for item in standing] for standing in items]
+    hands = [[hand_solids(grip) for item in standing for grip in item.grips] for standing in items]
     tops_mm = np.array([item.top_mm for item in problem.objects])
     before = [0] * (2 * len(start))
     moves = np.array(start) != np.array(target)
     clearance_mm = problem.clearance_mm
-    hits = [(1, 0, _hits(shapes, shapes, starts[None, :] - goals[:, None], clearance_mm))]
-    if (hands and len(hands) < len(start)) or len({len(hand) for hand in hands}) > 1:
+    hits = [(1, 0, _hits(shapes[1], shapes[0], points[0][None, :] - points[1][:, None], clearance_mm))]
+    if (hands[0] and len(hands[0]) < len(start)) or len({len(hand) for hand in hands[0]}) > 1:
         return None
-    for solids in zip(*hands, strict=True):
-        side = [shape for shape, _ in solids]
-        reaches_down = tops_mm[None, :] > np.array([bottom_mm for _, bottom_mm in solids])[:, None]
-        hits += [
-            (mine, yours, _hits(side, shapes, theirs[None, :] - own[:, None], 0.0) & reaches_down)
-            for mine, own in ((0, starts), (1, goals))
-            for yours, theirs in ((0, starts), (1, goals))
-        ]
-    both_at_goal = _hits(shapes, shapes, goals[None, :] - goals[:, None], clearance_mm)
+    for mine in (0, 1):
+        for solids in zip(*hands[mine], strict=True):
+            side = [shape for shape, _ in solids]
+            reaches_down = tops_mm[None, :] > np.array([bottom_mm for _, bottom_mm in solids])[:, None]
+            for yours in (0, 1):
+                apart_mm = points[yours][None, :] - points[mine][:, None]
+                hits.append((mine, yours, _hits(side, shapes[yours], apart_mm, 0.0) & reaches_down))
+    both_at_goal = _hits(shapes[1], shapes[1], points[1][None, :] - points[1][:, None], clearance_mm)
     if both_at_goal.any():
         return None
     for mine, yours, hit in hits:
@@ -132,20 +131,27 @@ def _events(problem: Problem, start: Arrangement, target: Arrangement) -> _Event
     return _Events(tuple(before), tuple(np.flatnonzero(moves).tolist()))
 
 
-def _obstructed(problem: Problem, starts: Array, goals: Array) -> bool:
-    """Tell whether an obstacle is too near to any start or goal, for footprint or fingers."""
+def _obstructed(problem: Problem, items: Sequence[Sequence[ProblemObject]], points: Sequence[Array]) -> bool:
+    """Tell whether an obstacle is too near to any goal, for the footprint, or to any start or goal, for the fingers.
+
+    Args:
+        problem: the problem.
+        items: the objects as they stand at their starts, and at their goals.
+        points: where those are.
+    """
     for obstacle in problem.obstacles:
         at = np.array([obstacle.x_mm, obstacle.y_mm])
-        for item in problem.objects:
-            both = np.array([at - starts[item.id], at - goals[item.id]])
-            if too_close(item.footprint, obstacle.footprint, both, problem.clearance_mm)[1]:
-                return True
-            for grip in item.grips:
-                if any(
-                    obstacle.top_mm > bottom_mm and too_close(side, obstacle.footprint, both, 0.0).any()
-                    for side, bottom_mm in hand_solids(grip)
-                ):
+        for at_goal, standing in enumerate(items):
+            for item in standing:
+                apart_mm = (at - points[at_goal][item.id])[None]
+                if at_goal and too_close(item.footprint, obstacle.footprint, apart_mm, problem.clearance_mm)[0]:
                     return True
+                for grip in item.grips:
+                    if any(
+                        obstacle.top_mm > bottom_mm and too_close(side, obstacle.footprint, apart_mm, 0.0)[0]
+                        for side, bottom_mm in hand_solids(grip)
+                    ):
+                        return True
     return False
 
 

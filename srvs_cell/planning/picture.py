@@ -50,7 +50,7 @@ def plan_svg(problem: Problem, moves: Sequence[Move], title: str) -> str:
     for item in problem.objects:
         parts.append(_shape(item.footprint, _point(problem, item.start), "start"))
         if ends[item.id] != item.start:
-            parts.append(_shape(item.footprint, _point(problem, ends[item.id]), "end"))
+            parts.append(_shape(item.at(ends[item.id]).footprint, _point(problem, ends[item.id]), "end"))
     # Names and arrows come last: nothing hides them.
     parts += [_text(_point(problem, item.start), str(item.id), letter, "", item.name) for item in problem.objects]
     for number, move in enumerate(moves, start=1):

@@ -7,8 +7,10 @@ is a position in its tuple.
 
 from __future__ import annotations
 
+import cmath
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
 from srvs_cell.planning.problem_format import (
@@ -51,6 +53,10 @@ class Polygon:
     """A convex footprint: vertices counter-clockwise, relative to the object's reference point."""
 
     vertices_mm: tuple[Point2, ...]
+
+    def turned(self, turn_deg: float) -> Polygon:
+        """Return the polygon turned about the reference point."""
+        return Polygon(tuple(_turned(vertex, turn_deg) for vertex in self.vertices_mm))
 
 
 Footprint = Disc | Rectangle | Polygon
@@ -97,6 +103,10 @@ class FingerGrip:
     palm: Palm | None = None
     blocked: tuple[int, ...] = ()
 
+    def turned(self, turn_deg: float) -> FingerGrip:
+        """Return the grip turned about the object's reference point."""
+        return replace(self, centre_mm=_turned(self.centre_mm, turn_deg), yaw_deg=self.yaw_deg + turn_deg)
+
 
 @dataclass(frozen=True)
 class ProblemObject:
@@ -105,12 +115,13 @@ class ProblemObject:
     Attributes:
         id: position in the problem's objects.
         height_mm: height above the table.
-        footprint: keeps its orientation wherever the object stands; its reference point stands on the place's point.
+        footprint: as it stands at its start; its reference point stands on the place's point.
         start: id of the place where it stands.
         grips: ways to take it; the same one at pick and at place. Empty: the fingers need no room.
         name: what reasons call it.
         top_mm: height above the table that it certainly does not exceed; what is higher passes over it.
         blocked: places where it can be neither picked nor put down in any way, each with the reason.
+        turns_deg: places where it stands turned about its reference point, against its start, and by how much.
     """
 
     id: int
@@ -121,6 +132,42 @@ class ProblemObject:
     name: str
     top_mm: float = math.inf
     blocked: tuple[tuple[int, str], ...] = ()
+    turns_deg: tuple[tuple[int, float], ...] = ()
+
+    def turn_deg(self, place: int) -> float:
+        """Return by how much it is turned where it stands on a place."""
+        return next((turn_deg for turned_at, turn_deg in self.turns_deg if turned_at == place), 0.0)
+
+    def at(self, place: int) -> ProblemObject:
+        """Return it with footprint and grips as it stands on a place."""
+        return _object_turned(self, self.turn_deg(place))
+
+    def orientations(self, place_count: int) -> list[tuple[ProblemObject, int]]:
+        """Return it in each of its orientations, with the mask of the places where it stands so."""
+        masks = {0.0: (1 << place_count) - 1}
+        for place, turn_deg in self.turns_deg:
+            masks[0.0] &= ~(1 << place)
+            masks[turn_deg] = masks.get(turn_deg, 0) | 1 << place
+        return [(_object_turned(self, turn_deg), mask) for turn_deg, mask in masks.items()]
+
+
+@lru_cache(maxsize=1024)
+def _object_turned(item: ProblemObject, turn_deg: float) -> ProblemObject:
+    """Return an object turned about its reference point; kept, because many ask for the same."""
+    if turn_deg == 0.0:
+        return item
+    footprint = item.footprint
+    if isinstance(footprint, Rectangle):
+        x_mm, y_mm = footprint.half_x_mm, footprint.half_y_mm
+        footprint = Polygon(((-x_mm, -y_mm), (x_mm, -y_mm), (x_mm, y_mm), (-x_mm, y_mm)))
+    if isinstance(footprint, Polygon):
+        footprint = footprint.turned(turn_deg)
+    return replace(item, footprint=footprint, grips=tuple(grip.turned(turn_deg) for grip in item.grips))
+
+
+def _turned(point_mm: Point2, turn_deg: float) -> Point2:
+    turned = complex(*point_mm) * cmath.rect(1.0, math.radians(turn_deg))
+    return turned.real, turned.imag
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.planning.access import Access
 from srvs_cell.planning.buffers import better_buffer, find_buffer
+from srvs_cell.planning.carrying import Carry
 from srvs_cell.planning.clearance import conflict_table
 from srvs_cell.planning.explain import what_would_help
 from srvs_cell.planning.legs import LegTops, leg_tops, tallest_mm
@@ -37,13 +38,14 @@ _MOST_BUFFERS_TRIED = 4
 
 @dataclass(frozen=True)
 class CellMove:
-    """One pick and place: a workpiece's footprint centroid goes from one point to another, its yaw stays.
+    """One pick and place: a workpiece's footprint centroid goes from one point to another.
 
     Attributes:
         workpiece: `Workpiece.id`.
         from_mm, to_mm: x and y of the footprint's centroid on the table, base frame.
         tops: what the hand passes above on its way.
         grasp: which of the workpiece's grasps is taken, as it was seen: 0 is the best one.
+        turn_deg: by how much it is turned on the way, from base x towards base y.
     """
 
     workpiece: int
@@ -51,6 +53,12 @@ class CellMove:
     to_mm: Point2
     tops: LegTops
     grasp: int = 0
+    turn_deg: float = 0.0
+
+    @property
+    def carry(self) -> Carry:
+        """How the workpiece is carried."""
+        return Carry(self.from_mm, self.to_mm, self.turn_deg)
 
 
 @dataclass(frozen=True)
@@ -292,7 +300,15 @@ def _cell_moves(
     if refusal:
         raise AlarmError(Alarm.PLAN_INVALID, f"{'; '.join(refusal)}.")
     return tuple(
-        CellMove(workpieces[move.object], points[move.from_place], points[move.to_place], heights, grip)
+        CellMove(
+            workpieces[move.object],
+            points[move.from_place],
+            points[move.to_place],
+            heights,
+            grip,
+            problem.objects[move.object].turn_deg(move.to_place)
+            - problem.objects[move.object].turn_deg(move.from_place),
+        )
         for move, heights, grip in zip(moves, tops, grips, strict=True)
     )
 
@@ -312,21 +328,20 @@ def _grips(problem: Problem, moves: Sequence[Move]) -> list[int]:
 def _check_ways(made: CellPlan, workpieces: Sequence[Workpiece], hand: HandMotion, access: Access) -> None:
     """Raise PLAN_INFEASIBLE where the arm cannot go straight from pose to pose of the plan, in one configuration."""
     grasps = {workpiece.id: workpiece.grasp for workpiece in workpieces}
-    carried: dict[int, Point2] = {}
+    carried: dict[int, Carry] = {}
     before = hand.observe
     for number, move in enumerate(made.moves, start=1):
         grasp = grasps[move.workpiece]
         if grasp is None:
             raise AlarmError(Alarm.PLAN_INVALID, f"Move {number}: workpiece {move.workpiece} has no grasp.")
-        x_mm, y_mm = carried.get(move.workpiece, (0.0, 0.0))
-        offset_mm = (move.to_mm[0] - move.from_mm[0], move.to_mm[1] - move.from_mm[1])
-        at = hand.grasp_pose(grasp.choices[move.grasp], (x_mm, y_mm))
+        before_it = carried.get(move.workpiece, Carry(move.from_mm, move.from_mm))
+        at = hand.grasp_pose(before_it.grasp(grasp.choices[move.grasp]), move.turn_deg)
         pick, lifted = hand.pick_way(at, move.tops)
-        place, leave = hand.place_way(hand.release_pose(at, offset_mm), hand.hang_mm(at), move.tops)
+        place, leave = hand.place_way(hand.release_pose(at, move.carry), hand.hang_mm(at), move.tops)
         way = [before, pick.above, pick.at, lifted, place.above, place.at, leave.above]
         if hand.looks_between or number == len(made.moves):
             way += [replace(leave.above, z_mm=max(hand.observe.z_mm, leave.above.z_mm)), hand.observe]
         if why := access.why_not_way(way):
             raise AlarmError(Alarm.PLAN_INFEASIBLE, f"Move {number}, workpiece {move.workpiece}: {why} on the way.")
-        carried[move.workpiece] = (x_mm + offset_mm[0], y_mm + offset_mm[1])
+        carried[move.workpiece] = before_it.then(move.carry)
         before = way[-1]

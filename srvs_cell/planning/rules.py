@@ -7,7 +7,7 @@ A rule is any object with a name and ``choose``. Other packages add theirs as en
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
@@ -17,6 +17,7 @@ from pydantic.dataclasses import dataclass as settings
 from scipy.optimize import linear_sum_assignment
 
 from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.planning.carrying import turn_to_deg
 from srvs_cell.planning.problem import AssignGoal, RankGoal
 from srvs_cell.scene import PlaceKind, Point2
 
@@ -29,11 +30,11 @@ if TYPE_CHECKING:
 
 ENTRY_POINT_GROUP = "srvs_cell.goal_rules"
 _STRICT = ConfigDict(extra="forbid")
-_HALF_TURN_DEG = 180.0
 _FAR_MM = 1e9
 
 Length = Annotated[float, Field(ge=0.0, le=5000.0)]
 Coordinate = Annotated[float, Field(ge=-5000.0, le=5000.0)]
+Yaw = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 
 @dataclass(frozen=True)
@@ -59,11 +60,13 @@ class Choice:
         goal: in place ids: place i is where workpiece i stands, further places follow.
         further: point and kind of the places that a rule adds.
         notes: what the rule has to say, one line each.
+        yaws_deg: places on which parts are put down at a yaw, and that; on all others they keep theirs.
     """
 
     goal: RankGoal | AssignGoal
     further: tuple[tuple[Point2, PlaceKind], ...] = ()
     notes: tuple[str, ...] = ()
+    yaws_deg: Mapping[int, float] = field(default_factory=dict)
 
 
 @runtime_checkable
@@ -99,6 +102,8 @@ class HeightOrder:
         height_tolerance_mm: heights nearer than this may stand in either order, pair by pair.
         place_tolerance_mm: places nearer than this along the direction are equal.
         left_first: whether of equal places the one to the left of the direction comes first, or the one to the right.
+        yaw_deg: yaw at which every workpiece is to stand; None: each keeps its own.
+        tolerance_deg: turn away from that yaw at which a workpiece may stay as it stands.
     """
 
     direction_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 90.0
@@ -106,6 +111,8 @@ class HeightOrder:
     height_tolerance_mm: Length = 2.0
     place_tolerance_mm: Length = 3.0
     left_first: bool = True
+    yaw_deg: Yaw | None = None
+    tolerance_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 5.0
 
     @property
     def name(self) -> str:
@@ -116,7 +123,8 @@ class HeightOrder:
         """Return the order of height on the job's places, as many as there are workpieces.
 
         Where parts were taken away the vacant places that come last in the order are given up; where parts were added
-        their own places, the first in the order, become places of the job.
+        their own places, the first in the order, become places of the job. Where a workpiece that is turned too far
+        stands, the place in the order is a second one at the same point: there it stands at the right yaw.
         """
         elsewhere = [number for number, each in enumerate(standing) if not each.on_place]
         vacant = [vacant_mm[i] for i in self.order(vacant_mm)][: len(elsewhere)]
@@ -125,10 +133,19 @@ class HeightOrder:
         taken = sorted({*(number for number, each in enumerate(standing) if each.on_place), *added})
         places = [*taken, *range(len(standing), len(standing) + len(vacant))]
         points = [*(standing[number].point_mm for number in taken), *vacant]
+        further = list(vacant)
+        yaws_deg: dict[int, float] = {}
+        if self.yaw_deg is not None:
+            for rank, number in enumerate(taken):
+                if abs(turn_to_deg(standing[number].workpiece, self.yaw_deg)) > self.tolerance_deg:
+                    places[rank] = len(standing) + len(further)
+                    further.append(standing[number].point_mm)
+            yaws_deg = dict.fromkeys(places, self.yaw_deg)
         order = tuple(places[i] for i in self.order(points))
         # Ranks go from tallest to lowest: ascending along the direction is descending against it.
         slots = order[::-1] if self.ascending else order
-        return Choice(RankGoal(slots, self.height_tolerance_mm), tuple((point, PlaceKind.SLOT) for point in vacant))
+        goal = RankGoal(slots, self.height_tolerance_mm)
+        return Choice(goal, tuple((point, PlaceKind.SLOT) for point in further), yaws_deg=yaws_deg)
 
     def order(self, points_mm: Sequence[Point2]) -> tuple[int, ...]:
         """Return the numbers of points, the farthest along the direction first.
@@ -152,25 +169,24 @@ class HeightOrder:
 
 @settings(frozen=True, kw_only=True, config=_STRICT)
 class NominalPlace:
-    """A taught place: where a workpiece of a kind should stand, and its yaw where that matters."""
+    """A taught place: where a workpiece of a kind should stand, and at which yaw, where that matters."""
 
     kind: str
     x_mm: Coordinate
     y_mm: Coordinate
-    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
+    yaw_deg: Yaw | None = None
 
 
 @settings(frozen=True, kw_only=True, config=_STRICT)
 class PositionCorrection:
     """Every workpiece goes to a taught place of its kind; those within the tolerance stay.
 
-    Workpieces and places are matched for the least sum of distances. A move keeps the yaw, so that a workpiece that is
-    turned too far is refused by name and not put down wrongly.
+    Workpieces and places are matched for the least sum of distances.
 
     Attributes:
         places: the taught places.
         tolerance_mm: distance from its place at which a workpiece stays.
-        tolerance_deg: yaw, modulo half a turn, that is right enough.
+        tolerance_deg: turn away from the place's yaw at which it stays.
     """
 
     places: Annotated[tuple[NominalPlace, ...], Field(min_length=1, max_length=200)]
@@ -202,32 +218,24 @@ class PositionCorrection:
         refused: list[str] = []
         allowed: list[frozenset[int]] = []
         further: list[tuple[Point2, PlaceKind]] = []
+        yaws_deg: dict[int, float] = {}
         for number, each in enumerate(standing):
-            place = matched.get(number)
-            if place is None or distance_mm[number, place] >= _FAR_MM:
+            column = matched.get(number)
+            if column is None or distance_mm[number, column] >= _FAR_MM:
                 refused.append(f"workpiece {each.workpiece.id}: no taught place of kind {each.workpiece.kind} is left")
                 continue
-            turned_deg = _turned_deg(each.workpiece.yaw_deg, self.places[place].yaw_deg)
-            if turned_deg > self.tolerance_deg:
-                refused.append(
-                    f"workpiece {each.workpiece.id} is turned by {turned_deg:.1f} deg, more than "
-                    f"{self.tolerance_deg:g} deg, and a move keeps the yaw"
-                )
-            if distance_mm[number, place] <= self.tolerance_mm:
+            place = self.places[column]
+            turn_deg = 0.0 if place.yaw_deg is None else turn_to_deg(each.workpiece, place.yaw_deg)
+            if distance_mm[number, column] <= self.tolerance_mm and abs(turn_deg) <= self.tolerance_deg:
                 allowed.append(frozenset({number}))
-            else:
-                allowed.append(frozenset({count + len(further)}))
-                further.append(((self.places[place].x_mm, self.places[place].y_mm), PlaceKind.SLOT))
+                continue
+            allowed.append(frozenset({count + len(further)}))
+            if place.yaw_deg is not None:
+                yaws_deg[count + len(further)] = place.yaw_deg
+            further.append(((place.x_mm, place.y_mm), PlaceKind.SLOT))
         if refused:
             raise AlarmError(Alarm.PLAN_INFEASIBLE, f"{'; '.join(refused)}.")
-        return Choice(AssignGoal(tuple(allowed), frozenset()), tuple(further))
-
-
-def _turned_deg(yaw_deg: float | None, wanted_deg: float | None) -> float:
-    if yaw_deg is None or wanted_deg is None:
-        return 0.0
-    turned = abs(yaw_deg - wanted_deg) % _HALF_TURN_DEG
-    return min(turned, _HALF_TURN_DEG - turned)
+        return Choice(AssignGoal(tuple(allowed), frozenset()), tuple(further), yaws_deg=yaws_deg)
 
 
 @settings(frozen=True, kw_only=True, config=_STRICT)
@@ -242,6 +250,8 @@ class ElementChange:
         stock_mm: where the stock stands; what stands there is no part of the scene that is judged.
         stock_radius_mm: distance from a stock place, or from the bin, at which a workpiece counts as standing there.
         substitute_kind: kind of the workpieces that may take a rejected one's place.
+        place_yaw_deg: yaw at which they are put down there; None: they keep the one that they have in the stock.
+        bin_yaw_deg: yaw at which a rejected one is let go over the bin; None: it keeps its own.
     """
 
     reject_kinds: frozenset[str] = frozenset()
@@ -251,6 +261,8 @@ class ElementChange:
     stock_mm: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(max_length=100)] = ()
     stock_radius_mm: Length = 20.0
     substitute_kind: str
+    place_yaw_deg: Yaw | None = None
+    bin_yaw_deg: Yaw | None = None
 
     @property
     def name(self) -> str:
@@ -306,7 +318,10 @@ class ElementChange:
             if reason
         )
         further = ((self.bin_mm, PlaceKind.BIN), *((point, PlaceKind.SLOT) for point in vacant))
-        return Choice(AssignGoal(tuple(allowed), to_fill), further, notes)
+        yaws_deg = {} if self.place_yaw_deg is None else dict.fromkeys(to_fill, self.place_yaw_deg)
+        if self.bin_yaw_deg is not None:
+            yaws_deg[count] = self.bin_yaw_deg
+        return Choice(AssignGoal(tuple(allowed), to_fill), further, notes, yaws_deg)
 
     def _is_in_stock(self, point_mm: Point2) -> bool:
         return any(math.dist(point_mm, place) <= self.stock_radius_mm for place in self.stock_mm)

@@ -2,7 +2,7 @@
 
 Each workpiece's perceived place is a slot, and its reference point is its footprint's centroid. Without another rule
 the highest goes to the slot with the largest y (the paper, "Recognition and relocation"). A workpiece keeps its
-orientation when moved.
+orientation when moved, unless the rule says at which yaw parts are put down on a place.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from srvs_cell.alarms import AlarmError
 from srvs_cell.planning.access import Access
 from srvs_cell.planning.buffers import Workspace, find_buffer
+from srvs_cell.planning.carrying import Carry, turn_to_deg
 from srvs_cell.planning.clearance import convex_hull
 from srvs_cell.planning.goals import goal_rule
 from srvs_cell.planning.problem import FingerGrip, Obstacle, Palm, Polygon, Problem, ProblemObject
@@ -31,7 +32,7 @@ from srvs_cell.planning.uncertainty import (
 from srvs_cell.scene import UNKNOWN_KIND, Place, PlaceKind, Point2, Workpiece
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -108,7 +109,10 @@ def table_problem(
         id="table",
         places=slots + configured,
         objects=tuple(
-            _object(i, workpiece, centre, parameters, hand, () if exact else workpieces)
+            replace(
+                _object(i, workpiece, centre, parameters, hand, () if exact else workpieces),
+                turns_deg=_turns_deg(i, workpiece, choice.yaws_deg),
+            )
             for i, (workpiece, centre) in enumerate(zip(movable, centres, strict=True))
         ),
         obstacles=tuple(_obstacle(w, parameters, exact=exact) for w in static),
@@ -182,8 +186,8 @@ def with_access(problem: Problem, movable: Sequence[Workpiece], access: Access |
         why_not: dict[int, list[str]] = {}
         for place in problem.places:
             if place.reachable:
-                offset_mm = (place.x_mm - here.x_mm, place.y_mm - here.y_mm)
-                why_not[place.id] = [access.why_not(grasp, offset_mm, item.top_mm) for grasp in grasps]
+                carry = Carry((here.x_mm, here.y_mm), (place.x_mm, place.y_mm), item.turn_deg(place.id))
+                why_not[place.id] = [access.why_not(grasp, carry, item.top_mm) for grasp in grasps]
         grips = tuple(
             replace(grip, blocked=tuple(place for place, reasons in why_not.items() if reasons[number]))
             for number, grip in enumerate(item.grips)
@@ -191,6 +195,12 @@ def with_access(problem: Problem, movable: Sequence[Workpiece], access: Access |
         blocked = tuple((place, reasons[0]) for place, reasons in why_not.items() if reasons and all(reasons))
         objects.append(replace(item, grips=grips, blocked=blocked))
     return replace(problem, objects=tuple(objects))
+
+
+def _turns_deg(start: int, workpiece: Workpiece, yaws_deg: Mapping[int, float]) -> tuple[tuple[int, float], ...]:
+    """Return by how much a workpiece is turned on the places that say a yaw; where it stands it has its own."""
+    turns_deg = ((place, turn_to_deg(workpiece, yaw_deg)) for place, yaw_deg in yaws_deg.items() if place != start)
+    return tuple((place, turn_deg) for place, turn_deg in turns_deg if turn_deg != 0.0)
 
 
 def footprint_centroid_mm(footprint_mm: NDArray[np.float64]) -> Point2:

@@ -6,7 +6,7 @@ The cell stops at every point of a move (above, near, at), so that the time of a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from srvs_cell.planning.legs import tallest_mm
@@ -17,8 +17,11 @@ if TYPE_CHECKING:
 
     from srvs_cell.planning.hand import HandMotion
     from srvs_cell.planning.parameters import PlanningParameters
-    from srvs_cell.planning.problem import Problem
-    from srvs_cell.scene import Workpiece
+    from srvs_cell.planning.problem import Problem, ProblemObject
+    from srvs_cell.scene import Grasp, Workpiece
+
+
+Turns = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,8 @@ class Timing:
         handling_s: per object, the time of each of its moves besides the level legs: down, grip, up, down, let go, up.
         looks_between: whether the hand goes home, to where the cell looks from, after every move.
         rise_mm: how far above travel height that is.
-        turn_s: per object, how long the wrist turns between there and its grasp; empty: it does not turn.
+        turns_s: per object, from place to place, how long the wrist turns on the way to it, with it, and back home;
+            empty: it does not turn.
     """
 
     speed_mm_s: float
@@ -38,7 +42,7 @@ class Timing:
     handling_s: tuple[float, ...]
     looks_between: bool = False
     rise_mm: float = 0.0
-    turn_s: tuple[float, ...] = ()
+    turns_s: tuple[tuple[tuple[Turns, ...], ...], ...] = ()
 
     def distances(self, problem: Problem) -> Distances:
         """Return the legs' times, each as the length that the arm goes in that time at travel speed.
@@ -69,16 +73,16 @@ class Timing:
         level_s = [[straight_move_s(length_mm) for length_mm in row] for row in straight.between_mm]
         up_s = straight_move_s(self.rise_mm)
         places = range(len(home_s))
-        # The TCP goes straight and turns meanwhile: whichever takes longer.
+        still = (((0.0, 0.0, 0.0),) * len(places),) * len(places)
+
+        def round_trip_s(p: int, q: int, turns_s: Turns) -> float:
+            # The TCP goes straight and turns meanwhile: whichever takes longer.
+            to_s, with_s, back_s = turns_s
+            return max(down_s[p], to_s) + max(level_s[p][q], with_s) + up_s + max(home_s[q], back_s)
+
         return tuple(
-            tuple(
-                tuple(
-                    self.speed_mm_s * (max(down_s[p], turn_s) + level_s[p][q] + up_s + max(home_s[q], turn_s))
-                    for q in places
-                )
-                for p in places
-            )
-            for turn_s in (self.turn_s or (0.0,) * len(self.handling_s))
+            tuple(tuple(self.speed_mm_s * round_trip_s(p, q, turns_s[p][q]) for q in places) for p in places)
+            for turns_s in (self.turns_s or (still,) * len(self.handling_s))
         )
 
 
@@ -107,23 +111,33 @@ def cell_timing(
         fast_s = straight_s(above_mm - slow_mm, hand.travel_speed_mm_s, acceleration)
         return fast_s + straight_s(slow_mm, hand.approach_speed_mm_s, acceleration)
 
-    handling_s, turn_s = [], []
-    for workpiece in movable:
+    def turns_s(grasp: Grasp, item: ProblemObject, origin: int, target: int) -> Turns:
+        here_deg, carried_deg = item.turn_deg(origin), item.turn_deg(target) - item.turn_deg(origin)
+        turned = replace(grasp, yaw_deg=grasp.yaw_deg + here_deg)
+        taken_deg = hand.grasp_pose(turned, carried_deg).r_deg - hand.observe.r_deg
+        to_s, with_s, back_s = (
+            straight_s(abs(turn_deg), parameters.wrist_speed_deg_s, parameters.wrist_acceleration_deg_s2)
+            for turn_deg in (taken_deg, carried_deg, taken_deg + carried_deg)
+        )
+        return to_s, with_s, back_s
+
+    places = range(len(problem.places))
+    handling_s, turning_s = [], []
+    for item, workpiece in zip(problem.objects, movable, strict=True):
         if workpiece.grasp is None:
             handling_s.append(0.0)
-            turn_s.append(0.0)
+            turning_s.append((((0.0, 0.0, 0.0),) * len(places),) * len(places))
             continue
         at = hand.grasp_pose(workpiece.grasp)
         empty_mm = max(hand.travel_z_mm(top_mm) - at.z_mm, 0.0)
         loaded_mm = max(hand.travel_z_mm(top_mm, hand.hang_mm(at)) - at.z_mm, 0.0)
         handling_s.append(2.0 * (way_s(empty_mm) + way_s(loaded_mm) + parameters.grip_time_s))
-        turn_deg = abs(at.r_deg - hand.observe.r_deg)
-        turn_s.append(straight_s(turn_deg, parameters.wrist_speed_deg_s, parameters.wrist_acceleration_deg_s2))
+        turning_s.append(tuple(tuple(turns_s(workpiece.grasp, item, p, q) for q in places) for p in places))
     return Timing(
         hand.travel_speed_mm_s,
         acceleration,
         tuple(handling_s),
         hand.looks_between,
         max(hand.observe.z_mm - hand.travel_z_mm(top_mm), 0.0),
-        tuple(turn_s),
+        tuple(turning_s),
     )

@@ -86,7 +86,9 @@ def validate_legs(
 def _under_mm(problem: Problem, stands: list[int], begin: Place, end: Place, held: int | None) -> float:
     """Return the height of the highest thing under the hand and what it holds; less for what only the palm passes."""
     things: list[tuple[Footprint, Place | Obstacle, float]] = [
-        (item.footprint, problem.places[stands[item.id]], item.top_mm) for item in problem.objects if item.id != held
+        (_turned(item.footprint, item, stands[item.id]), problem.places[stands[item.id]], item.top_mm)
+        for item in problem.objects
+        if item.id != held
     ]
     things += [(obstacle.footprint, obstacle, obstacle.top_mm) for obstacle in problem.obstacles]
     hands = [
@@ -182,17 +184,18 @@ def _wrong_move(problem: Problem, stands: list[int], table: _Table, move: Move, 
             if blocked == place.id:
                 return f"{what} (object {item.id}, place {place.id}: {reason})"
     if target.kind is not PlaceKind.BIN:
+        footprint = _turned(item.footprint, item, target.id)
         for other, place in others:
             if place.id == target.id:
                 return f"occupied (place {target.id} holds object {other.id})"
         for other, place in others:
-            if _near(item.footprint, target, other.footprint, place, problem.clearance_mm):
+            if _near(footprint, target, _turned(other.footprint, other, place.id), place, problem.clearance_mm):
                 return f"footprint_conflict (object {item.id} on place {target.id}, object {other.id} on {place.id})"
         for number, obstacle in enumerate(problem.obstacles):
-            if _near(item.footprint, target, obstacle.footprint, obstacle, problem.clearance_mm):
+            if _near(footprint, target, obstacle.footprint, obstacle, problem.clearance_mm):
                 return f"obstacle_conflict (object {item.id} on place {target.id}, obstacle {number})"
     if item.grips and not any(
-        _fingers_free(problem, grip, origin, others) and _fingers_free(problem, grip, target, others)
+        all(_fingers_free(problem, item, grip, place, others) for place in (origin, target))
         for grip in (item.grips if taken is None else item.grips[taken : taken + 1])
     ):
         return f"gripper_blocked (object {item.id} from place {origin.id} to {target.id})"
@@ -200,7 +203,11 @@ def _wrong_move(problem: Problem, stands: list[int], table: _Table, move: Move, 
 
 
 def _fingers_free(
-    problem: Problem, grip: FingerGrip, place: Place, others: Iterable[tuple[ProblemObject, Place]]
+    problem: Problem,
+    item: ProblemObject,
+    grip: FingerGrip,
+    place: Place,
+    others: Iterable[tuple[ProblemObject, Place]],
 ) -> bool:
     if place.id in grip.blocked:
         return False
@@ -209,14 +216,26 @@ def _fingers_free(
     solids = [(finger, grip.bottom_mm) for finger in _fingers(grip)]
     if grip.palm is not None:
         solids.append((_palm(grip, grip.palm), grip.palm.bottom_mm))
-    for solid, bottom_mm in solids:
+    for shape, bottom_mm in solids:
+        solid = _turned(shape, item, place.id)
         for other, stands in others:
-            if other.top_mm > bottom_mm and _near(solid, place, other.footprint, stands, 0.0):
+            standing = _turned(other.footprint, other, stands.id)
+            if other.top_mm > bottom_mm and _near(solid, place, standing, stands, 0.0):
                 return False
         for obstacle in problem.obstacles:
             if obstacle.top_mm > bottom_mm and _near(solid, place, obstacle.footprint, obstacle, 0.0):
                 return False
     return True
+
+
+def _turned(shape: Footprint, item: ProblemObject, place: int) -> Footprint:
+    """Return a footprint of an object, or of the hand on it, as it lies when the object stands on a place."""
+    turn_deg = dict(item.turns_deg).get(place, 0.0)
+    if turn_deg == 0.0 or isinstance(shape, Disc):
+        return shape
+    cos, sin = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+    corners, _ = _corners(shape, 0.0, 0.0)
+    return Polygon(tuple((x * cos - y * sin, x * sin + y * cos) for x, y in corners))
 
 
 def _fingers(grip: FingerGrip) -> list[Polygon]:

@@ -60,22 +60,29 @@ def seen(world: World, covariance_mm2: np.ndarray[Any, np.dtype[np.float64]] = C
             kind="cuboid",
             position_mm=(block.x_mm, block.y_mm, world.table_z_mm + block.height_mm),
             height_mm=block.height_mm,
-            yaw_deg=0.0,
+            yaw_deg=block.yaw_deg % 180.0,
             size_mm=(block.length_mm, block.width_mm),
             covariance_mm2=covariance_mm2,
-            footprint_mm=np.array(
-                [
-                    (block.x_mm + sx * block.length_mm / 2, block.y_mm + sy * block.width_mm / 2)
-                    for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-                ]
-            ),
+            footprint_mm=_footprint_mm(block),
             surfaces=(i,),
-            grasp=Grasp((block.x_mm, block.y_mm, world.table_z_mm + block.height_mm - 15.0), 90.0, block.width_mm),
+            grasp=Grasp(
+                (block.x_mm, block.y_mm, world.table_z_mm + block.height_mm - 15.0),
+                block.yaw_deg + 90.0,
+                block.width_mm,
+            ),
         )
         for i, block in enumerate(standing)
     )
     disparity = np.full((HEIGHT_PX, WIDTH_PX), np.nan, np.float32)
     return Perception(image, image, (), disparity, (), workpieces, {"recognition": 1.0})
+
+
+def _footprint_mm(block: Block) -> np.ndarray[Any, np.dtype[np.float64]]:
+    signs = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    cos, sin = np.cos(np.deg2rad(block.yaw_deg)), np.sin(np.deg2rad(block.yaw_deg))
+    corners = signs * (block.length_mm / 2, block.width_mm / 2) @ np.array([[cos, sin], [-sin, cos]])
+    footprint: np.ndarray[Any, np.dtype[np.float64]] = corners + np.array([block.x_mm, block.y_mm])
+    return footprint
 
 
 @dataclass

@@ -333,7 +333,7 @@ async def test_a_sensor_that_does_not_confirm_asks_for_a_person(tmp_path: Path) 
 async def test_a_part_in_the_gripper_that_nobody_picked_is_refused_at_reset(tmp_path: Path) -> None:
     cell = build(tmp_path)
     block = cell.world.blocks[0]
-    cell.world.held = (block, (0.0, 0.0, -20.0))
+    cell.world.held = (block, (0.0, 0.0, -20.0, 0.0))
     async with running(cell):
         await connected(cell)
         await cell.give(Command.CLEAR)

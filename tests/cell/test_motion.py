@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis.strategies import floats, sampled_from
 
 from srvs_cell.cell.motion import HeldPart, held_part
-from srvs_cell.geometry import Xyzwpr, fanuc_rotation
-from srvs_cell.planning import Approach, CellMove, LegTops
+from srvs_cell.geometry import Xyzwpr, fanuc_rotation, wrap_angle_deg
+from srvs_cell.planning import Approach, Carry, CellMove, LegTops
 from srvs_cell.planning.hand import tool_rotation_deg
 from srvs_cell.scene import Grasp
 from tests.cell.support import PARAMETERS, seen, three_blocks
@@ -47,12 +47,26 @@ TOPS = LegTops(60.0, 80.0, 20.0)
 def test_a_part_is_let_go_as_far_from_its_grasp_as_it_was_moved() -> None:
     workpiece = seen(World(three_blocks())).workpieces[1]
     assert workpiece.grasp is not None
-    at = HAND.grasp_pose(workpiece.grasp, (10.0, -5.0))
+    at = HAND.grasp_pose(Carry((300.0, 0.0), (310.0, -5.0)).grasp(workpiece.grasp))
     assert (at.x_mm, at.y_mm, at.z_mm) == (310.0, -5.0, 30.0)
     part = held_part(workpiece, CellMove(1, (310.0, -5.0), (250.0, 100.0), TOPS), at, HAND)
     assert (part.place.x_mm, part.place.y_mm, part.place.z_mm, part.place.r_deg) == (250.0, 100.0, 31.5, at.r_deg)
     assert part.hang_mm == 20.0
     assert HeldPart.from_json(part.as_json()) == part
+
+
+@given(seen_deg=ANGLE, turn_deg=floats(-90.0, 90.0))
+def test_a_part_that_is_turned_is_let_go_where_its_grasp_then_is(seen_deg: float, turn_deg: float) -> None:
+    move = CellMove(1, (300.0, 0.0), (250.0, 100.0), TOPS, turn_deg=turn_deg)
+    grasp = Grasp((312.0, 5.0, 30.0), seen_deg, 30.0)
+    at = HAND.grasp_pose(grasp, turn_deg)
+    release = HAND.release_pose(at, move.carry)
+    wanted = HAND.grasp_pose(move.carry.grasp(grasp))
+    assert (release.x_mm, release.y_mm) == pytest.approx((wanted.x_mm, wanted.y_mm))
+    # The part turns with the hand, by that much and no half turn more; nowhere does the wrist go farther than it must.
+    assert release.r_deg - at.r_deg == pytest.approx(turn_deg)
+    assert abs(wrap_angle_deg(release.r_deg - wanted.r_deg, 180.0)) == pytest.approx(0.0, abs=1e-6)
+    assert max(abs(at.r_deg), abs(release.r_deg)) <= 90.0 + abs(turn_deg) / 2.0 + 1e-6
 
 
 def test_each_leg_passes_above_what_stands_under_it() -> None:

@@ -10,7 +10,7 @@ from srvs_cell.planning import AssignGoal, Disc, PlanningParameters, Problem, Pr
 from srvs_cell.planning import plan_relocation as plan_cell
 from srvs_cell.planning.clearance import conflict_table
 from srvs_cell.planning.goals import goal_rule
-from srvs_cell.planning.timing import Timing, straight_s
+from srvs_cell.planning.timing import Timing, Turns, straight_s
 from srvs_cell.planning.travel import least_travel, travel_mm
 from srvs_cell.scene import Place, PlaceKind, PlanStatus
 from tests.planning.problems import workpiece
@@ -93,15 +93,24 @@ def _round_trip_s(problem: Problem, timing: Timing, item: int, origin: int, targ
         return straight_s(math.hypot(*gap_mm), SPEED_MM_S, ACCELERATION_MM_S2)
 
     (x, y), p, q = problem.home_mm, problem.places[origin], problem.places[target]
-    down_s = max(leg_s(p.x_mm - x, p.y_mm - y, timing.rise_mm), timing.turn_s[item])
-    home_s = max(leg_s(q.x_mm - x, q.y_mm - y), timing.turn_s[item])
-    return down_s + leg_s(p.x_mm - q.x_mm, p.y_mm - q.y_mm) + leg_s(timing.rise_mm) + home_s + timing.handling_s[item]
+    to_s, with_s, back_s = timing.turns_s[item][origin][target]
+    down_s = max(leg_s(p.x_mm - x, p.y_mm - y, timing.rise_mm), to_s)
+    home_s = max(leg_s(q.x_mm - x, q.y_mm - y), back_s)
+    level_s = max(leg_s(p.x_mm - q.x_mm, p.y_mm - q.y_mm), with_s)
+    return down_s + level_s + leg_s(timing.rise_mm) + home_s + timing.handling_s[item]
+
+
+def _turns(problem: Problem, *turns_s: Turns) -> tuple[tuple[tuple[Turns, ...], ...], ...]:
+    """Return the same turns of an object from everywhere to everywhere."""
+    count = len(problem.places)
+    return tuple(((each,) * count,) * count for each in turns_s)
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_with_a_look_after_every_move_the_least_time_is_that_of_the_best_of_all_first_movers(seed: int) -> None:
     problem, timing = _permutation(4, seed, [1, 2, 3, 0])
-    timing = dataclasses.replace(timing, looks_between=True, rise_mm=200.0, turn_s=(0.2, 5.0, 1.0, 3.0))
+    turns_s = _turns(problem, (0.2, 0.0, 4.0), (5.0, 3.0, 5.0), (1.0, 6.0, 1.0), (3.0, 0.0, 3.0))
+    timing = dataclasses.replace(timing, looks_between=True, rise_mm=200.0, turns_s=turns_s)
     answer = plan(problem, timing=timing)
     assert answer.status is PlanStatus.SOLVED
     direct_s = [_round_trip_s(problem, timing, item, item, (item + 1) % 4) for item in range(4)]
@@ -117,6 +126,6 @@ def test_with_a_look_after_every_move_the_least_time_is_that_of_the_best_of_all_
 def test_a_part_for_which_the_wrist_turns_long_is_not_moved_twice() -> None:
     problem, timing = _permutation(2, 3, [1, 0])
     for slow in (0, 1):
-        turn_s = tuple(20.0 if item == slow else 0.0 for item in (0, 1))
-        answer = plan(problem, timing=dataclasses.replace(timing, looks_between=True, turn_s=turn_s))
+        turns_s = _turns(problem, *((20.0, 0.0, 20.0) if item == slow else (0.0, 0.0, 0.0) for item in (0, 1)))
+        answer = plan(problem, timing=dataclasses.replace(timing, looks_between=True, turns_s=turns_s))
         assert [move.object for move in answer.moves] == [1 - slow, slow, 1 - slow]
