@@ -36,6 +36,7 @@ from srvs_cell.planning.rules import (
 )
 from srvs_cell.planning.table import TableProblem, footprint_centroid_mm, table_problem, why_not_taken
 from srvs_cell.planning.validator import validate
+from srvs_cell.planning.view import View
 
 __all__ = [
     "Approach",
@@ -68,6 +69,7 @@ __all__ = [
     "SearchLimits",
     "Standing",
     "TableProblem",
+    "View",
     "Workspace",
     "explain",
     "footprint_centroid_mm",

@@ -10,6 +10,8 @@ import numpy as np
 from srvs_cell.geometry import Transform
 from srvs_cell.planning.arm import ArmReach
 from srvs_cell.planning.hand import Approach
+from srvs_cell.planning.view import in_view
+from srvs_cell.scene import PlaceKind
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,7 +21,8 @@ if TYPE_CHECKING:
     from srvs_cell.planning.buffers import Workspace
     from srvs_cell.planning.carrying import Carry
     from srvs_cell.planning.hand import HandMotion
-    from srvs_cell.scene import Grasp
+    from srvs_cell.planning.problem import ProblemObject
+    from srvs_cell.scene import Grasp, Place
 
 _HALF_TURN_DEG = 180.0
 
@@ -53,6 +56,18 @@ class Access:
         if beyond_mm > 0.0:
             return f"out of the workspace by {beyond_mm:.0f} mm"
         return "" if self._reach is None else self._reach.why_not(self._column(at, top_mm))
+
+    def why_unseen(self, item: ProblemObject, place: Place) -> str:
+        """Return why an object cannot be checked on a place after it was put there, or an empty string.
+
+        What waits in a buffer place has to be seen by a repeated look too; what lies in a bin is not looked for.
+        """
+        view = self._workspace.view
+        if view is None or place.kind is PlaceKind.BIN:
+            return ""
+        point_mm = np.array([[place.x_mm, place.y_mm]])
+        waits = place.kind is PlaceKind.BUFFER
+        return "" if in_view(item.at(place.id), point_mm, view, from_aside=waits)[0] else "no look would see it there"
 
     def mask(self, grasp: Grasp, offsets_mm: Array, top_mm: float) -> NDArray[np.bool_]:
         """Return, per offset (N, 2), whether a workpiece can be gripped there, not turned.

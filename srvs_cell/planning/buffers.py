@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.planning.clearance import bounds_mm, hand_solids, outer_radius_mm, too_close
+from srvs_cell.planning.clearance import corners_mm, hand_solids, outer_radius_mm, too_close
 from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.view import View, in_view
 from srvs_cell.scene import Place, PlaceKind
 
 if TYPE_CHECKING:
@@ -33,12 +34,18 @@ _CHUNK = 128
 
 @dataclass(frozen=True)
 class Workspace:
-    """The box on the table that workpieces may be moved in, base frame."""
+    """Where on the table workpieces may be moved, base frame.
+
+    Attributes:
+        x_min_mm, x_max_mm, y_min_mm, y_max_mm: a box.
+        view: what the cameras see; None: no matter.
+    """
 
     x_min_mm: float
     x_max_mm: float
     y_min_mm: float
     y_max_mm: float
+    view: View | None = None
 
     def contains(self, x_mm: float, y_mm: float) -> bool:
         """Tell whether a point lies inside."""
@@ -132,7 +139,7 @@ def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float, allowed:
     slot the others stand on by then. Where the table is too full for that, it is clear for those that stand wrongly, or
     for one object at least as the table stands now; the search then finds out whether that is enough. Among the clear
     points the one is taken that makes the shortest detour for one object; the others can go round through its slot
-    (references/planning.md section 3).
+    (references/planning.md section 3). Every look sees what waits there.
 
     Args:
         problem: a rank problem that is not in order yet.
@@ -162,7 +169,8 @@ def find_buffer(problem: Problem, workspace: Workspace, grid_mm: float, allowed:
         names = ", ".join(item.name for item in wrong)
         raise AlarmError(
             Alarm.NO_BUFFER_PLACE,
-            f"no point of the workspace ({workspace}) on a grid of {grid_mm:g} mm is clear for any of: {names}.",
+            f"no point of the workspace ({workspace}) on a grid of {grid_mm:g} mm is clear"
+            f"{'' if workspace.view is None else ' and in view of every look'} for any of: {names}.",
         )
     found = Place(len(problem.places), float(point[0]), float(point[1]), PlaceKind.BUFFER)
     return replace(problem, places=(*problem.places, found))
@@ -211,6 +219,8 @@ def _first_clear(
         chunk = candidates[begin : begin + _CHUNK]
         for mover in movers:
             chunk = chunk[_inside(mover.footprint, chunk, workspace)]
+            if workspace.view is not None and len(chunk):
+                chunk = chunk[in_view(mover, chunk, workspace.view, from_aside=True)]
             for obstacle in problem.obstacles:
                 at = np.array([[obstacle.x_mm, obstacle.y_mm]])
                 chunk = _without_hits(chunk, mover, obstacle, at, problem.clearance_mm)
@@ -258,7 +268,8 @@ def _lower_than(item: ProblemObject, top_mm: float) -> list[Polygon]:
 
 def _inside(shape: Footprint, points_mm: Array, workspace: Workspace) -> NDArray[np.bool_]:
     """Return where the whole of a shape lies in the workspace, per point (C, 2)."""
-    low, high = bounds_mm(shape)
+    corners = corners_mm(shape)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     fits: NDArray[np.bool_] = (
         (points_mm[:, 0] + low[0] >= workspace.x_min_mm)
         & (points_mm[:, 0] + high[0] <= workspace.x_max_mm)

@@ -222,10 +222,11 @@ def _core(shape: Footprint) -> Array:
     return np.array(shape.vertices_mm)
 
 
-def bounds_mm(shape: Footprint) -> tuple[Array, Array]:
-    """Return the lower and upper corner (2,) of a shape's bounding box, relative to its reference point."""
-    core, radius_mm = _core(shape), _radius_mm(shape)
-    return core.min(axis=0) - radius_mm, core.max(axis=0) + radius_mm
+def corners_mm(shape: Footprint) -> Array:
+    """Return the corners, shape (N, 2), of a convex polygon that holds a shape; relative to its reference point."""
+    if isinstance(shape, Disc):
+        return _core(Rectangle(shape.radius_mm, shape.radius_mm))
+    return _core(shape)
 
 
 def _radius_mm(shape: Footprint) -> float:

@@ -144,12 +144,13 @@ def _changes(problem: Problem) -> Iterator[tuple[str, Problem]]:
         rest = (*problem.obstacles[:number], *problem.obstacles[number + 1 :])
         text = f"the obstacle at ({obstacle.x_mm:.1f}, {obstacle.y_mm:.1f}) taken away"
         yield text, replace(problem, obstacles=rest)
-    for number in sorted({number for item in problem.objects for number, _ in item.blocked}):
+    limits = {number: reason for item in problem.objects for number, reason in item.blocked}
+    for number, reason in sorted(limits.items()):
         freed = tuple(
             replace(item, blocked=tuple(entry for entry in item.blocked if entry[0] != number))
             for item in problem.objects
         )
-        yield f"{_place(problem, number)} where the arm can reach it", replace(problem, objects=freed)
+        yield f"{_place(problem, number)} free of what blocks it ({reason})", replace(problem, objects=freed)
     # Of two, one that is left alone is always in order.
     if len(problem.objects) > _A_PAIR:
         for item in problem.objects:

@@ -192,8 +192,10 @@ def with_access(problem: Problem, movable: Sequence[Workpiece], access: Access |
             replace(grip, blocked=tuple(place for place, reasons in why_not.items() if reasons[number]))
             for number, grip in enumerate(item.grips)
         )
-        blocked = tuple((place, reasons[0]) for place, reasons in why_not.items() if reasons and all(reasons))
-        objects.append(replace(item, grips=grips, blocked=blocked))
+        blocked = {place: reasons[0] for place, reasons in why_not.items() if reasons and all(reasons)}
+        unseen = {place.id: access.why_unseen(item, place) for place in problem.places if place.id != item.start}
+        blocked |= {place: reason for place, reason in unseen.items() if reason and place not in blocked}
+        objects.append(replace(item, grips=grips, blocked=tuple(blocked.items())))
     return replace(problem, objects=tuple(objects))
 
 

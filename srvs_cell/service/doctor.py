@@ -16,6 +16,7 @@ from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import Level, check_calibration
 from srvs_cell.cell import make_devices
 from srvs_cell.ports import Diagnosable, Finding, FindingLevel, PortError
+from srvs_cell.service.common_view import CommonView, check_buffer_places
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -90,6 +91,8 @@ async def examine(config: CellConfig, state_dir: Path, daemon: Mapping[str, Any]
     calibration, found = _calibration(config)
     examined = [Examined("calibration", finding) for finding in found]
     examined += [Examined("state folder", finding) for finding in _state_folder(state_dir)]
+    if calibration is not None and config.planning.buffer_places_mm:
+        examined.append(Examined("calibration", _buffer_places(config, calibration)))
     if daemon is not None:
         return examined + _asked(daemon)
     if _locked(state_dir / "daemon.lock"):
@@ -147,6 +150,15 @@ def _calibration(config: CellConfig) -> tuple[Calibration | None, list[Finding]]
         else:
             findings.append(Finding.doubtful("numbers", Alarm.CALIBRATION_INVALID, detail, one.advice))
     return calibration, findings or [Finding.fine("numbers", f"{config.calibration}")]
+
+
+def _buffer_places(config: CellConfig, calibration: Calibration) -> Finding:
+    """Compute, as the daemon will, whether the looks see the configured buffer places."""
+    try:
+        check_buffer_places(config, CommonView.of(config.cell, calibration))
+    except AlarmError as error:
+        return Finding.failed("sees the buffer places", error, "Move the place, or let free places be found.")
+    return Finding.fine("sees the buffer places", f"{len(config.planning.buffer_places_mm)}")
 
 
 def _fits(calibration: Calibration, facts: Mapping[str, object]) -> list[Finding]:

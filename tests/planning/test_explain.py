@@ -77,7 +77,7 @@ def test_an_object_taken_away_or_a_place_within_reach_would_help() -> None:
     )
     lines = explain(stuck, plan(stuck))
     assert lines == (
-        "it would help: slot 1 (60.0, 0.0) where the arm can reach it",
+        "it would help: slot 1 (60.0, 0.0) free of what blocks it (out of reach by 14 mm)",
         "it would help: object 1 taken off the table",
     )
     assert any("out of reach by 14 mm" in reason for reason in plan(stuck).reasons)
