@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from srvs_cell.calibration.calibration import Uncertainty
 
@@ -67,7 +68,8 @@ class ErrorBudget:
         points = self.base_T_camera.inverse().apply(np.asarray(point_mm, dtype=np.float64))[..., None, :]
         steps = np.array([_STEPS[unit] for unit in _units()])
         errors = np.diag(steps)
-        slopes = (self._estimate(points, errors) - self._estimate(points, -errors)) / (2.0 * steps[:, None])
+        moved = self._estimate(points, np.concatenate([errors, -errors]))
+        slopes = (moved[..., :_COUNT, :] - moved[..., _COUNT:, :]) / (2.0 * steps[:, None])
         columns: Array = np.swapaxes(self.base_T_camera.rotate(slopes), -1, -2)
         return columns
 
@@ -114,13 +116,13 @@ class ErrorBudget:
 
         Args:
             point: shape (..., 3).
-            errors: one of each component of the causes, shape (..., 18).
+            errors: one of each component of the causes, shape (M, 18).
         """
         f_px = self.f_px
         pixel_x, pixel_y, disparity, focal = np.moveaxis(errors[..., :4], -1, 0)
         principal_x, principal_y = np.moveaxis(errors[..., 4:6], -1, 0)
-        hand_eye_mm, hand_eye_rad = errors[..., 6:9], errors[..., 9:12]
-        pose_mm, pose_rad = errors[..., 12:15], errors[..., 15:18]
+        hand_eye_mm, hand_eye_turn = errors[..., 6:9], Rotation.from_rotvec(errors[..., 9:12]).as_matrix()
+        pose_mm, pose_turn = errors[..., 12:15], Rotation.from_rotvec(errors[..., 15:18]).as_matrix()
         x, y, depth = np.moveaxis(point, -1, 0)
         left_x, left_y = f_px * x / depth + pixel_x, f_px * y / depth + pixel_y
         right_x = f_px * (x - self.baseline_mm) / depth + pixel_x - disparity
@@ -136,9 +138,9 @@ class ErrorBudget:
         )
         # the right camera hangs on the TCP: a wrong orientation of the pose also swings it about the TCP
         arm = -np.asarray(self.tcp_in_camera_mm) + hand_eye_mm
-        right_centre = np.array([self.baseline_mm, 0.0, 0.0]) - arm + hand_eye_mm + _turned(arm, pose_rad) + pose_mm
-        right_ray = _turned(_turned(right_ray, hand_eye_rad), pose_rad)
-        return _intersect(hand_eye_mm, _turned(left_ray, hand_eye_rad), right_centre, right_ray)
+        right_centre = np.array([self.baseline_mm, 0.0, 0.0]) - arm + hand_eye_mm + _turned(arm, pose_turn) + pose_mm
+        right_ray = _turned(right_ray, pose_turn @ hand_eye_turn)
+        return _intersect(hand_eye_mm, _turned(left_ray, hand_eye_turn), right_centre, right_ray)
 
 
 def _total(covariances: Iterable[Array]) -> Array:
@@ -149,13 +151,9 @@ def _units() -> list[str]:
     return [unit for _, unit, count in _CAUSES for _ in range(count)]
 
 
-def _turned(vector: Array, rotation_rad: Array) -> Array:
-    """Return vectors turned by rotation vectors (Rodrigues), shapes (..., 3)."""
-    angle = np.linalg.norm(rotation_rad, axis=-1, keepdims=True)
-    moved = np.cross(rotation_rad, vector)
-    # sin(a)/a and (1 - cos(a))/a^2, which have limits at 0
-    sine, versine = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    return np.asarray(vector + sine * moved + versine * np.cross(rotation_rad, moved))
+def _turned(vector: Array, rotation: Array) -> Array:
+    """Return vectors of shape (..., 3) turned by matrices of shape (..., 3, 3)."""
+    return np.asarray((rotation @ vector[..., None])[..., 0])
 
 
 def _intersect(left_centre: Array, left_ray: Array, right_centre: Array, right_ray: Array) -> Array:

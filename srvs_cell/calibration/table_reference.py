@@ -35,12 +35,12 @@ _COUNT = 18
 _HOMOGRAPHY = 8
 BASIS = 10
 """Coefficients of a deviation field: a homography's eight, and one of each radial lens coefficient."""
-_STEPS = np.array([1e-6, 1e-3, 1e-3, *[1e-3] * 3, *[1e-6] * 3, *[1e-3] * 3, *[1e-6] * 3])
-"""Half steps of the central differences (share, pixels, millimetres, radians)."""
-_TABLE_STEP_MM = 1e-3
+_LIFT = slice(15, 16)
+_STEPS = np.array([1e-6, 1e-3, 1e-3, *[1e-3] * 3, *[1e-6] * 3, *[1e-3] * 3, *[1e-6] * 3, 1e-3])
+"""Half steps of the central differences (share, pixels, millimetres, radians), of the table's height at last."""
 _GRID = 7
-_REACHES = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
-"""Shares of the claimed sigmas that the errors may really reach."""
+_REACHES2 = np.array([0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0]) ** 2
+"""Squared shares of the claimed sigmas that the errors may really reach."""
 _RANDOM_CAUSES = 3
 """The first columns of the error budget's Jacobian: pixel x, pixel y, disparity."""
 
@@ -132,11 +132,16 @@ class TableReference:
         # in units of the claimed sigmas: a number that is known exactly has sigma 0 and stays where it is
         sigmas = _sigmas(self.budget.uncertainty)
         response = self.response * sigmas
-        gain = response.T @ information @ response
-        shown = response.T @ vector
-        likely = max(_REACHES, key=lambda reach: _evidence(reach, gain, shown))
-        errors = likely**2 * np.linalg.solve(np.eye(_COUNT) + likely**2 * gain, shown)
-        covariance = np.linalg.inv(np.eye(_COUNT) + gain)
+        # along the eigenvectors of what the table tells the errors are independent, whatever their reach
+        gain, axes = np.linalg.eigh(response.T @ information @ response)
+        gain = np.maximum(gain, 0.0)
+        shown = axes.T @ (response.T @ vector)
+        # the log likelihood for each reach, up to a constant
+        known = 1.0 + _REACHES2[:, None] * gain
+        evidence = (_REACHES2[:, None] * shown**2 / known - np.log(known)).sum(axis=1)
+        likely2 = _REACHES2[np.argmax(evidence)]
+        errors = axes @ (likely2 * shown / (1.0 + likely2 * gain))
+        covariance = (axes / (1.0 + gain)) @ axes.T
         return replace(self, errors=sigmas * errors, covariance=covariance * np.outer(sigmas, sigmas))
 
     def surprise(self) -> float:
@@ -182,30 +187,31 @@ class TableReference:
         x, y = (
             axis.ravel() for axis in np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))
         )
-        disparity, *_ = self._seen(x, y, np.zeros(_BUDGET_CAUSES), 0.0)
+        steps = np.diag(_STEPS)
+        disparity, x_right, y_right = self._seen(x, y, np.concatenate([steps, -steps]))
         u, v = self.basis(x, y, disparity)
         fields = np.concatenate([u, v])[:, :_HOMOGRAPHY]
-        shown = np.empty((2 * x.size, _BUDGET_CAUSES))
-        for cause, step in enumerate(_STEPS):
-            error = np.zeros(_BUDGET_CAUSES)
-            error[cause] = step
-            shown[:, cause] = (self._shown(x, y, error, 0.0) - self._shown(x, y, -error, 0.0)) / (2.0 * step)
-        none = np.zeros(_BUDGET_CAUSES)
-        lifted = self._shown(x, y, none, _TABLE_STEP_MM) - self._shown(x, y, none, -_TABLE_STEP_MM)
+        # u counts to the left, v downwards
+        shown = np.hstack([x_right, -y_right])
+        shown = (shown[: _STEPS.size] - shown[_STEPS.size :]) / (2.0 * _STEPS[:, None])
         response = np.zeros((BASIS, _COUNT))
-        solved = np.linalg.lstsq(fields, np.column_stack([shown, lifted / (2.0 * _TABLE_STEP_MM)]), rcond=None)[0]
+        solved = np.linalg.lstsq(fields, shown.T, rcond=None)[0]
         response[:_HOMOGRAPHY, :_BUDGET_CAUSES] = solved[:, :_BUDGET_CAUSES]
         response[:_HOMOGRAPHY, _TABLE] = solved[:, _BUDGET_CAUSES]
         response[_HOMOGRAPHY, _K1] = response[_HOMOGRAPHY + 1, _K2] = 1.0
         return response
 
-    def _shown(self, x_px: Array, y_px: Array, errors: Array, lift_mm: float) -> Array:
-        """Return u and v, one after the other, that errors of calibration and pose cause, shape (2 N,)."""
-        disparity, x_right, y_right = self._seen(x_px, y_px, errors, lift_mm)
-        return np.concatenate([x_right - x_px + disparity, y_px - y_right])
+    def _seen(self, x_px: Array, y_px: Array, errors: Array) -> tuple[Array, Array, Array]:
+        """Return the true disparity of the table, and where the believed geometry expects it in the right image.
 
-    def _seen(self, x_px: Array, y_px: Array, errors: Array, lift_mm: float) -> tuple[Array, Array, Array]:
-        """Return the true disparity of the table, and where the believed geometry expects it in the right image."""
+        Args:
+            x_px: column, shape (N,).
+            y_px: row, the same shape.
+            errors: of calibration and pose, and of the table's height, one set a row, shape (M, 16).
+
+        Returns:
+            Disparities of shape (N,), columns and rows of shape (M, N).
+        """
         budget = self.budget
         centre = np.array(self.principal_point_px)
         pixels = np.column_stack([x_px, y_px])
@@ -213,29 +219,22 @@ class TableReference:
         distance = self.table_z_mm - float(budget.base_T_camera.translation_mm[2])
         rays = np.column_stack([(pixels - centre) / budget.f_px, np.ones(len(pixels))])
         depth = distance / (rays @ up)
-        f_px = budget.f_px * (1.0 + float(errors[_FOCAL][0]))
-        turn = Rotation.from_rotvec(errors[_HAND_EYE_TURN]).as_matrix()
-        pose_turn = Rotation.from_rotvec(errors[_POSE_TURN]).as_matrix()
-        believed = np.column_stack([(pixels - centre - errors[_PRINCIPAL]) / f_px, np.ones(len(pixels))]) @ turn.T
-        start = errors[_HAND_EYE]
-        along = (distance + lift_mm - float(up @ start)) / (believed @ up)
-        points = start + along[:, None] * believed
+        f_px = budget.f_px * (1.0 + errors[:, _FOCAL, None])
+        turn = Rotation.from_rotvec(errors[:, _HAND_EYE_TURN]).as_matrix()
+        pose_turn = Rotation.from_rotvec(errors[:, _POSE_TURN]).as_matrix()
+        principal = centre + errors[:, None, _PRINCIPAL]
+        ideal = np.concatenate([(pixels - principal) / f_px, np.ones((len(errors), len(pixels), 1))], axis=2)
+        believed = ideal @ turn.swapaxes(1, 2)
+        start = errors[:, _HAND_EYE]
+        along = (distance + errors[:, _LIFT] - (start @ up)[:, None]) / (believed @ up)
+        points = start[:, None] + along[..., None] * believed
         # the right camera hangs on the TCP: a wrong orientation of the pose also swings it about the TCP
         arm = -np.asarray(budget.tcp_in_camera_mm) + start
-        right = np.array([budget.baseline_mm, 0.0, 0.0]) - arm + start + pose_turn @ arm + errors[_POSE]
-        seen = (points - right) @ (pose_turn @ turn)
-        expected = f_px * seen[:, :2] / seen[:, 2:] + centre + errors[_PRINCIPAL]
-        return budget.f_px * budget.baseline_mm / depth, expected[:, 0], expected[:, 1]
-
-
-def _evidence(reach: float, gain: Array, shown: Array) -> float:
-    """Return the log likelihood of a measurement where errors reach a share of their claimed sigmas, up to a constant.
-
-    By the matrix determinant lemma and Woodbury's identity it takes only what the estimate takes.
-    """
-    matrix = np.eye(_COUNT) + reach**2 * gain
-    explained = reach**2 * float(shown @ np.linalg.solve(matrix, shown))
-    return 0.5 * (explained - float(np.linalg.slogdet(matrix)[1]))
+        swung = (pose_turn @ arm[..., None])[..., 0]
+        right = np.array([budget.baseline_mm, 0.0, 0.0]) - arm + start + swung + errors[:, _POSE]
+        seen = (points - right[:, None]) @ (pose_turn @ turn)
+        expected = f_px * seen[..., :2] / seen[..., 2:] + principal
+        return budget.f_px * budget.baseline_mm / depth, expected[..., 0], expected[..., 1]
 
 
 def _sigmas(given: Uncertainty) -> Array:

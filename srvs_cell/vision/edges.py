@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from srvs_cell.vision.median import median
 from srvs_cell.vision.runs import joined, runs_of, touching_runs
 
 if TYPE_CHECKING:
@@ -88,9 +89,8 @@ def gradient_2x2(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArr
 
 def strong_gradient(magnitude: NDArray[np.float32], parameters: EdgeParameters) -> float:
     """Return the least gradient of a strong pixel: above the image's own noise and texture, within the limits."""
-    median = float(np.partition(magnitude, magnitude.size // 2, axis=None)[magnitude.size // 2])
     highest = max(parameters.min_gradient, parameters.max_gradient)
-    return float(np.clip(parameters.noise_factor * median, parameters.min_gradient, highest))
+    return min(max(parameters.noise_factor * median(magnitude), parameters.min_gradient), highest)
 
 
 def supported(

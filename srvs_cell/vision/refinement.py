@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from srvs_cell.vision.edges import smooth
+from srvs_cell.vision.median import median
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +32,8 @@ _SLOPE_SIGMA = 0.05
 _NOISE_GREY = 1.0
 _TUKEY = 4.685
 _MAD_TO_SIGMA = 1.4826
+_EVEN = np.ones(1, dtype=np.float32)
+"""The spread of the residuals where the surface is smooth: the same for all."""
 _CONVERGED_PX = 0.005
 _MIN_PIXELS = 12
 _CORRELATED_PIXELS = 12.0
@@ -140,9 +144,8 @@ def _unaligned(pair: GreyPair, rows: NDArray[np.intp], columns: NDArray[np.intp]
     """Return how well the grey values agree where the plane of the borders puts them."""
     design = np.stack([columns, rows, np.ones(rows.size)]).astype(np.float32)
     seen, inside = _Samples.of(pair, rows, columns).at(np.array(match.disparity_plane), design)
-    target = pair.left[rows, columns][inside]
-    contrast = float(target.std()) if target.size else 0.0
-    return Alignment(match.disparity_plane, match.disparity_sigma_px, _correlation(target, seen[inside]), contrast)
+    correlation, contrast = _correlation(pair.left[rows, columns][inside], seen[inside])
+    return Alignment(match.disparity_plane, match.disparity_sigma_px, correlation, contrast)
 
 
 def _best_level(
@@ -208,34 +211,38 @@ def align_plane(
     middle_x, middle_y = float(columns.mean()), float(rows.mean())
     a, b, c = start
     first_level = a * middle_x + b * middle_y + c
-    design = np.stack([columns - middle_x, rows - middle_y, np.ones(rows.size)]).astype(np.float32)
+    design = np.ones((3, rows.size), dtype=np.float32)
+    design[0], design[1] = columns - middle_x, rows - middle_y
     samples = _Samples.of(pair, rows, columns)
     target, slope = pair.left[rows, columns], pair.left_x[rows, columns]
-    steepness = slope * design
     # without contrast nothing but this holds the plane
-    prior = np.diag(
-        [(_NOISE_GREY / _SLOPE_SIGMA) ** 2] * 2 + [(_NOISE_GREY / parameters.max_shift_px) ** 2, 1e-3, 1e-3]
-    )
+    held = (_NOISE_GREY / _SLOPE_SIGMA) ** 2
+    prior = np.array([held, held, (_NOISE_GREY / parameters.max_shift_px) ** 2, 1e-3, 1e-3])
     expected = np.array([0.0, 0.0, first_level, 1.0, 0.0])
     solution = np.array([a, b, first_level, 1.0, 0.0])
-    jacobian = np.ones((len(solution), rows.size), dtype=np.float32)
+    # what the prediction changes by with a, b, level (all three by -gain times this), gain and offset
+    basis = np.ones((solution.size, rows.size), dtype=np.float32)
+    basis[:3] = slope * design
     seen_first, inside_first = seen, inside = samples.at(solution[:3], design)
     for _ in range(parameters.iterations):
         if np.count_nonzero(inside) < _MIN_PIXELS:
             return None
         gain, offset = solution[3:].astype(np.float32)
-        residual = (target - (gain * seen + offset)) * inside
-        scale = max(_NOISE_GREY, _MAD_TO_SIGMA * _median(np.abs(residual)))
+        residual = target - (gain * seen + offset)
+        residual *= inside
+        scale = max(_NOISE_GREY, _MAD_TO_SIGMA * median(np.abs(residual)))
         # in units of the noise: what the surface's roughness makes of a slope adds to it
-        spread = 1.0 + np.square(np.float32(roughness_px / scale) * gain * slope)
-        weight = np.square(np.maximum(1.0 - np.square(residual / np.float32(_TUKEY * scale)) / spread, 0.0))
+        spread = 1.0 + np.square(np.float32(roughness_px / scale) * gain * slope) if roughness_px else _EVEN
+        weight = _tukey(residual / np.float32(_TUKEY * scale), spread)
+        weight *= weight
         weight *= inside / spread
-        # d moves the sample against x: the prediction changes by -gain times the slope
-        np.multiply(steepness, -gain, out=jacobian[:3])
-        jacobian[3] = seen
-        weighted = jacobian * weight
-        normal = weighted @ jacobian.T + prior
-        step = np.linalg.solve(normal, weighted @ residual - prior @ (solution - expected))
+        basis[3] = seen
+        # d moves the sample against x
+        moved = np.array([-gain, -gain, -gain, 1.0, 1.0])
+        weighted = basis * weight
+        normal = (weighted @ basis.T) * np.multiply.outer(moved, moved)
+        normal.flat[:: solution.size + 1] += prior
+        _, step, _ = dposv(normal, (weighted @ residual) * moved - prior * (solution - expected))
         step[:3] *= min(1.0, 1.0 / max(abs(float(step[2])), 1e-9))
         solution = solution + step
         seen, inside = samples.at(solution[:3], design)
@@ -245,23 +252,18 @@ def align_plane(
         return None
     gain, offset = solution[3:].astype(np.float32)
     both = inside & inside_first
-    units = np.float32(_TUKEY * scale) * np.sqrt(spread)
+    units = np.float32(_TUKEY * scale)
     before, same_light, after = (
-        _robust_cost((target - each) / units, both)
+        _robust_cost(np.asarray((target - each) / units, dtype=np.float32), spread, both)
         for each in (seen_first, gain * seen_first + offset, gain * seen + offset)
     )
     if after > min(before, same_light):
         return None
     variance = float(weight @ np.square(residual) / max(weight.sum(), 1.0))
     sigma = float(np.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * np.linalg.inv(normal)[2, 2]))
-    contrast = float(target[inside].std()) if inside.any() else 0.0
+    correlation, contrast = _correlation(target[inside], seen[inside])
     a, b, level = (float(value) for value in solution[:3])
-    return Alignment(
-        (a, b, level - a * middle_x - b * middle_y),
-        max(sigma, _LEAST_SIGMA_PX),
-        _correlation(target[inside], seen[inside]),
-        contrast,
-    )
+    return Alignment((a, b, level - a * middle_x - b * middle_y), max(sigma, _LEAST_SIGMA_PX), correlation, contrast)
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,21 +303,26 @@ class _Samples:
         return value + (clipped - whole) * (self.right[1:].take(left) - value), clipped == x
 
 
-def _robust_cost(residual: NDArray[np.float32], counted: NDArray[np.bool_]) -> float:
+def _tukey(residual: NDArray[np.float32], spread: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the square root of Tukey's weights of residuals in units of where they are bounded."""
+    inlying = np.square(residual)
+    if spread is not _EVEN:
+        inlying /= spread
+    np.subtract(np.float32(1.0), inlying, out=inlying)
+    return np.asarray(np.maximum(inlying, np.float32(0.0), out=inlying))
+
+
+def _robust_cost(residual: NDArray[np.float32], spread: NDArray[np.float32], counted: NDArray[np.bool_]) -> float:
     """Return the sum of Tukey's bounded costs, each 0 to 1, of residuals in units of where they are bounded."""
-    inlying = np.maximum(1.0 - np.square(residual), 0.0)
+    inlying = _tukey(residual, spread)
     return float(np.sum(1.0 - inlying * inlying * inlying, where=counted))
 
 
-def _median(values: NDArray[np.float32]) -> float:
-    """Return the middle value; of an even number the upper one of the two."""
-    middle = values.size // 2
-    return float(np.partition(values, middle)[middle])
-
-
-def _correlation(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+def _correlation(one: NDArray[np.float32], other: NDArray[np.float32]) -> tuple[float, float]:
+    """Return the correlation of grey values, 0 where they are too few, and the standard deviation of the first."""
     if one.size < _MIN_PIXELS:
-        return 0.0
+        return 0.0, 0.0
     one, other = one - one.mean(), other - other.mean()
-    norm = float(np.sqrt((one**2).sum() * (other**2).sum()))
-    return float((one * other).sum() / norm) if norm > 0.0 else 0.0
+    power = float(one @ one)
+    norm = math.sqrt(power * float(other @ other))
+    return float(one @ other) / norm if norm > 0.0 else 0.0, math.sqrt(power / one.size)

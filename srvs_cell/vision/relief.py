@@ -14,10 +14,13 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from srvs_cell.vision.edges import smooth
+from srvs_cell.vision.median import median
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from srvs_cell.calibration import TableReference
     from srvs_cell.geometry import Array
@@ -30,7 +33,9 @@ _SMOOTHING_PX = 1.0
 _SPARSE = 3
 """Every so many pixels are enough for a median of the whole picture."""
 _MAD = 1.4826
-_STRIDE = 8
+_CELLS = (20, 15)
+"""The field of what the table showed is smooth: so many places across and down are enough."""
+_STRIDE = 12
 """Every so many pixels are enough for what the lens does to the whole picture."""
 _DEGREE = 3
 _CALM = 4.0
@@ -83,39 +88,50 @@ def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableRefer
         table_z_mm: height of the table, base frame.
         reference: what the table showed of calibration and poses.
     """
-    height, width = pair.left.shape
-    a, b, c = pair.rig.plane_disparity(_UP, table_z_mm)
-    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    disparity = a * x + b * y + c
-    map_x, map_y = x - disparity, y
-    if reference is not None and np.any(reference.expected_field):
-        corners_x, corners_y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 7))
-        fields = reference.basis(corners_x, corners_y, a * corners_x + b * corners_y + c)
-        u, v = (cv2.resize((part @ reference.expected_field).astype(np.float32), (width, height)) for part in fields)
-        map_x, map_y = map_x - u, map_y + v
-    left, right = (
-        cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX) for image in (pair.left, pair.right)
-    )
-    map_x, map_y = map_x.astype(np.float32), map_y.astype(np.float32)
+    left, right = (smooth(image, _SMOOTHING_PX) for image in (pair.left, pair.right))
+    map_x, map_y = _laid_by_table(pair, table_z_mm, reference)
     laid = cv2.remap(right, map_x, map_y, cv2.INTER_LINEAR)
     kernel = np.ones((_BORDER_PX, _BORDER_PX), np.uint8)
     seen_left, seen_right = (
-        cv2.erode(seen.astype(np.uint8), kernel, borderValue=0) for seen in (pair.left_valid, pair.right_valid)
+        cv2.erode(seen.view(np.uint8), kernel, borderValue=0) for seen in (pair.left_valid, pair.right_valid)
     )
     laid_right = cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)
-    valid = np.asarray((seen_left > 0) & (laid_right > 0), dtype=np.bool_)
-    raw = np.asarray(left - laid, dtype=np.float32)
-    lens = _vignetting(np.asarray(left, dtype=np.float32), raw, valid)
-    difference = np.asarray(np.where(valid, raw - lens, 0.0), dtype=np.float32)
+    valid = np.asarray(cv2.bitwise_and(seen_left, laid_right), dtype=np.uint8).view(np.bool_)
+    difference = _as_float(cv2.subtract(left, laid))
+    difference -= _vignetting(left, difference, valid)
+    difference *= valid
     sampled = np.abs(difference[::_SPARSE, ::_SPARSE][valid[::_SPARSE, ::_SPARSE]])
-    noise = max(_MAD * float(np.median(sampled)), _LEAST_SPREAD) if sampled.size else 1.0
-    slopes = [np.square(cv2.Sobel(left, cv2.CV_32F, *order, ksize=3) / _SOBEL) for order in ((1, 0), (0, 1))]
-    steep: NDArray[np.float32] = np.asarray(slopes[0] + slopes[1], dtype=np.float32)
-    near = (_WINDOW_PX, _WINDOW_PX)
-    squared: NDArray[np.float32] = np.square(difference)
-    energy = cv2.blur(squared, near)
-    allowed = _NOISE_FACTOR * noise**2 + _SLACK_PX**2 * cv2.blur(steep, near)
-    return Relief(difference, (energy > allowed) & valid, noise, valid)
+    noise = max(_MAD * median(sampled), _LEAST_SPREAD) if sampled.size else 1.0
+    # the energy that neither the noise nor a small displacement of the table's picture explains
+    energy: NDArray[np.float32] = np.square(difference)
+    for order in ((1, 0), (0, 1)):
+        slope = _as_float(cv2.Sobel(left, cv2.CV_32F, *order, ksize=3, scale=_SLACK_PX / _SOBEL))
+        energy -= np.square(slope, out=slope)
+    rises = _as_float(cv2.blur(energy, (_WINDOW_PX, _WINDOW_PX))) > _NOISE_FACTOR * noise**2
+    rises &= valid
+    return Relief(difference, rises, noise, valid)
+
+
+def _laid_by_table(
+    pair: RectifiedPair, table_z_mm: float, reference: TableReference | None
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return where the right image shows what the left one shows of the table, x and y, shape (H, W) each."""
+    height, width = pair.left.shape
+    a, b, c = pair.rig.plane_disparity(_UP, table_z_mm)
+    column, row = np.arange(width), np.arange(height)[:, None]
+    map_x = _as_float((1.0 - a) * column - c) - _as_float(b * row)
+    map_y = _as_float(np.broadcast_to(row, map_x.shape))
+    if reference is not None and np.any(reference.expected_field):
+        # what the resizing takes for the middles of its cells
+        x, y = (
+            (np.arange(count) + 0.5) * size / count - 0.5 for count, size in zip(_CELLS, (width, height), strict=True)
+        )
+        cells_x, cells_y = np.meshgrid(x, y)
+        fields = reference.basis(cells_x, cells_y, a * cells_x + b * cells_y + c)
+        u, v = (cv2.resize(_as_float(part @ reference.expected_field), (width, height)) for part in fields)
+        map_x -= u
+        map_y += v
+    return map_x, map_y
 
 
 def _vignetting(left: NDArray[np.float32], difference: NDArray[np.float32], valid: Mask) -> NDArray[np.float32]:
@@ -123,24 +139,27 @@ def _vignetting(left: NDArray[np.float32], difference: NDArray[np.float32], vali
 
     A share of the grey value that is a cubic polynomial of the place, fitted to what is no part: there it fails.
     """
-    grey, seen = (np.asarray(part[::_STRIDE, ::_STRIDE], dtype=np.float64) for part in (left, difference))
-    there = valid[::_STRIDE, ::_STRIDE]
+    sparse = np.s_[::_STRIDE, ::_STRIDE]
+    grey, seen, there = left[sparse].astype(np.float64), difference[sparse].ravel(), valid[sparse].ravel()
     rows, columns = grey.shape
-    x, y = np.meshgrid(np.linspace(-1.0, 1.0, columns), np.linspace(-1.0, 1.0, rows))
-    powers = [x**i * y**j for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
-    places = np.stack(powers, axis=-1)
-    used = there.copy()
-    share = np.zeros(grey.shape)
+    x, y = np.linspace(-1.0, 1.0, columns), np.linspace(-1.0, 1.0, rows)[:, None]
+    places = np.stack([(x**i * y**j).ravel() for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)])
+    by_place = places * grey.ravel()
+    used, share = there, np.zeros(len(places))
     for _ in range(_CALM_ROUNDS):
         if np.count_nonzero(used) <= _LEAST_CALM * used.size:
             break
-        by_place = places[used] * grey[used][:, None]
-        normal = by_place.T @ by_place + _RIDGE * np.eye(len(powers))
-        share = places @ np.linalg.solve(normal, by_place.T @ seen[used])
-        misfit = np.abs(seen - share * grey)
-        used = there & (misfit <= _CALM * max(float(np.median(misfit[used])), _LEAST_SPREAD))
-    smooth = cv2.resize(share.astype(np.float32), (left.shape[1], left.shape[0]), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(smooth * left, dtype=np.float32)
+        counted = by_place * used
+        share = np.asarray(np.linalg.solve(counted @ by_place.T + _RIDGE * np.eye(len(places)), counted @ seen))
+        misfit = np.abs(seen - share @ by_place)
+        used = np.asarray(there & (misfit <= _CALM * max(median(misfit[used]), _LEAST_SPREAD)))
+    height, width = left.shape
+    lens = cv2.resize(_as_float((share @ places).reshape(rows, columns)), (width, height))
+    return _as_float(cv2.multiply(lens, left))
+
+
+def _as_float(values: ArrayLike) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, dtype=np.float32)
 
 
 def unexplained(relief: Relief, explained: Iterable[Array]) -> NDArray[np.uint8]:

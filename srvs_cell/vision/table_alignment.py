@@ -18,18 +18,18 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from srvs_cell.calibration import BASIS, TableReference
 from srvs_cell.scene import TableCheck
+from srvs_cell.vision.median import median
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
-    from srvs_cell.vision.rectification import RectifiedPair
+    from srvs_cell.vision.rectification import RectifiedPair, RectifiedRig
 
 _SCALE = 2
 """The images are halved: that smooths the noise, and the table's texture is coarser."""
 _BLOCK = 16
 """Side of a block in pixels of the halved image."""
-_ITERATIONS = 5
 _BORDER_PX = 9
 _SOBEL = 8.0 * _SCALE
 """What a 3x3 Sobel operator makes of a grey value per pixel of the full image."""
@@ -88,63 +88,56 @@ def align_table(
     height, width = pair.left.shape
     prior = TableReference.unmeasured(rig.error_budget, (rig.cx_px, rig.cy_px), table_z_mm, (width, height))
     grid = _Grid.of(pair, table_z_mm)
-    u_basis, v_basis = prior.basis(grid.x_px, grid.y_px, grid.disparity_px)
-    reference, used, rejected = prior, np.zeros(grid.count, dtype=np.bool_), 0.0
+    basis = np.stack(prior.basis(grid.x_px, grid.y_px, grid.disparity_px), axis=1)
+    reference, used, rejected = prior, np.zeros(len(basis), dtype=np.bool_), 0.0
     for slack_px in _SLACK_PX:
         field = reference.expected_field
-        now = grid.linearised(u_basis @ field, v_basis @ field, slack_px)
+        now = grid.linearised(basis @ field, slack_px)
         used, rejected = now.usable, now.rejected
         if used.sum() < parameters.min_blocks:
             break
-        basis = np.stack([u_basis, v_basis], axis=1)[used]
         weights = np.linalg.inv(np.linalg.inv(now.information[used]) * now.inflation + _FLOOR_PX**2 * np.eye(2))
-        information = np.einsum("bik,bij,bjl->kl", basis, weights, basis)
-        vector = information @ field + np.einsum("bik,bij,bj->k", basis, weights, now.displacement[used])
+        weighted = weights @ basis[used]
+        # the sum over blocks and both directions
+        information = np.tensordot(weighted, basis[used], ([0, 1], [0, 1]))
+        vector = information @ field + np.tensordot(weighted, now.displacement[used], ([0, 1], [0, 1]))
         reference = prior.measured(information, vector)
-    shown, surprise = _Shown.of(reference, pair), reference.surprise()
+    u_px, v_px, sigma_px = _shown(reference, rig)
+    _, _, prior_sigma_px = _shown(prior, rig)
+    surprise = reference.surprise()
     refusal = ""
     if used.sum() < parameters.min_blocks and rejected > _MOST:
         # the table deviates by more than the search reaches: at least that is the doubt
-        surprise = BASIS * (_SLACK_PX[0] / _Shown.of(prior, pair).sigma_px) ** 2
+        surprise = BASIS * (_SLACK_PX[0] / prior_sigma_px) ** 2
         refusal = f"the table contradicts the calibration: {100.0 * rejected:.0f} % of its picture is not as predicted"
     elif used.sum() < parameters.min_blocks:
         refusal = f"{used.sum()} blocks of table in view, {parameters.min_blocks} needed"
-    elif shown.sigma_px > parameters.max_doubt * _Shown.of(prior, pair).sigma_px:
-        refusal = f"the table shows too little: {shown.sigma_px:.3f} px of doubt are left"
+    elif sigma_px > parameters.max_doubt * prior_sigma_px:
+        refusal = f"the table shows too little: {sigma_px:.3f} px of doubt are left"
     elif surprise > parameters.max_surprise:
         refusal = f"the table contradicts the calibration: chi squared {surprise:.0f}"
-    check = TableCheck(int(used.sum()), shown.u_px, shown.v_px, shown.sigma_px, shown.correction_mm, refusal)
+    check = TableCheck(int(used.sum()), u_px, v_px, sigma_px, (0.0, 0.0, 0.0), refusal)
     if refusal:
-        return prior.doubted(surprise), replace(check, correction_mm=(0.0, 0.0, 0.0))
-    return reference, check
+        return prior.doubted(surprise), check
+    x, y = np.array([rig.cx_px]), np.array([rig.cy_px])
+    middle_mm = rig.points_mm(x, y, _table_disparity(rig, table_z_mm, x, y))[0]
+    correction = reference.at(middle_mm)[0]
+    return reference, replace(check, correction_mm=(float(correction[0]), float(correction[1]), float(correction[2])))
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """What a reference says of the middle of the image: deviation, its standard deviation, correction of a point."""
+def _shown(reference: TableReference, rig: RectifiedRig) -> tuple[float, float, float]:
+    """Return the deviation (u, v) that a reference says the middle of the image has, and the doubt of u."""
+    x, y = np.array([rig.cx_px]), np.array([rig.cy_px])
+    u, v = (part[0] for part in reference.basis(x, y, _table_disparity(rig, reference.table_z_mm, x, y)))
+    by_error = u @ reference.response
+    sigma_px = float(np.sqrt(by_error @ reference.covariance @ by_error))
+    return float(by_error @ reference.errors), float(v @ reference.expected_field), sigma_px
 
-    u_px: float
-    v_px: float
-    sigma_px: float
-    correction_mm: tuple[float, float, float]
 
-    @classmethod
-    def of(cls, reference: TableReference, pair: RectifiedPair) -> _Shown:
-        """Evaluate a reference at the principal point."""
-        rig = pair.rig
-        a, b, c = rig.plane_disparity(_UP, reference.table_z_mm)
-        x, y = np.array([rig.cx_px]), np.array([rig.cy_px])
-        disparity = a * x + b * y + c
-        u, v = (part[0] for part in reference.basis(x, y, disparity))
-        covariance = reference.response @ reference.covariance @ reference.response.T
-        correction = reference.at(rig.points_mm(x, y, disparity)[0])[0]
-        field = reference.expected_field
-        return cls(
-            float(u @ field),
-            float(v @ field),
-            float(np.sqrt(u @ covariance @ u)),
-            (float(correction[0]), float(correction[1]), float(correction[2])),
-        )
+def _table_disparity(rig: RectifiedRig, table_z_mm: float, x_px: Array, y_px: Array) -> Array:
+    """Return the table's disparity at pixels of the left image."""
+    a, b, c = rig.plane_disparity(_UP, table_z_mm)
+    return a * x_px + b * y_px + c
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,120 +158,122 @@ class _Linearised:
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """The halved images, cut into blocks; the arrays of blocks have shape (B,) or (B, 2, 2)."""
+    """The halved images, cut into B blocks of N pixels each.
+
+    Attributes:
+        left, right: the images, the left one cut to whole blocks.
+        slope_x, slope_y: of the left image, per pixel of the full image.
+        map_x, map_y: where the right image shows the table that the left one shows.
+        shape: rows and columns of blocks.
+        whole: blocks whose pixels both images saw, shape (B,).
+        x_px, y_px, disparity_px: the blocks' centres in the full image, and the table's disparity there.
+        slope_mean: of the blocks, for u and v, shape (B, 2).
+        structure: sums of products of the slopes less their means, for u and v, shape (B, 2, 2).
+        solved: inverse of the structure, held where it is singular.
+    """
 
     left: NDArray[np.float32]
     right: NDArray[np.float32]
-    map_x: NDArray[np.float32]
-    map_y: NDArray[np.float32]
     slope_x: NDArray[np.float32]
     slope_y: NDArray[np.float32]
-    valid: NDArray[np.bool_]
+    map_x: NDArray[np.float32]
+    map_y: NDArray[np.float32]
+    shape: tuple[int, int]
+    whole: NDArray[np.bool_]
     x_px: Array
     y_px: Array
     disparity_px: Array
+    slope_mean: Array
     structure: Array
-    shape: tuple[int, int]
+    solved: Array
 
     @classmethod
     def of(cls, pair: RectifiedPair, table_z_mm: float) -> _Grid:
         """Halve the images and measure the left one's gradients."""
         left, right = (_as_float(cv2.pyrDown(image.astype(np.float32))) for image in (pair.left, pair.right))
-        rows, columns = left.shape[0] // _BLOCK, left.shape[1] // _BLOCK
-        height, width = rows * _BLOCK, columns * _BLOCK
+        shape = (left.shape[0] // _BLOCK, left.shape[1] // _BLOCK)
+        height, width = shape[0] * _BLOCK, shape[1] * _BLOCK
+        column, row = np.arange(width), np.arange(height)[:, None]
         a, b, c = pair.rig.plane_disparity(_UP, table_z_mm)
-        x, y = np.meshgrid(np.arange(width, dtype=np.float32) * _SCALE, np.arange(height, dtype=np.float32) * _SCALE)
-        disparity = (a * x + b * y + c).astype(np.float32)
+        map_x = _as_float((1.0 - a) * column - c / _SCALE) - _as_float(b * row)
+        map_y = _as_float(np.broadcast_to(row, map_x.shape))
         kernel = np.ones((_BORDER_PX, _BORDER_PX), np.uint8)
         seen_left, seen_right = (
-            cv2.erode(valid.astype(np.uint8), kernel, borderValue=0)[::_SCALE, ::_SCALE]
+            cv2.erode(valid.view(np.uint8), kernel, borderValue=0)[::_SCALE, ::_SCALE]
             for valid in (pair.left_valid, pair.right_valid)
         )
-        map_x, map_y = (x - disparity) / _SCALE, y / _SCALE
         laid_right = cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)
-        both = _as_float((seen_left[:height, :width] > 0) & (laid_right > 0))
+        whole = _means(_as_float(np.minimum(seen_left[:height, :width], laid_right)), shape) == 1.0
         slope_x, slope_y = (
-            _as_float(cv2.Sobel(left, cv2.CV_32F, *order, ksize=3)[:height, :width] / _SOBEL)
+            _as_float(cv2.Sobel(left, cv2.CV_32F, *order, ksize=3, scale=1.0 / _SOBEL)[:height, :width])
             for order in ((1, 0), (0, 1))
         )
-        shape = (rows, columns)
-        sums = [_blocks(product, shape) for product in (slope_x * slope_x, slope_x * slope_y, slope_y * slope_y)]
-        means = [_blocks(slope, shape) / _BLOCK**2 for slope in (slope_x, slope_y)]
-        structure = np.empty((rows * columns, 2, 2))
-        structure[:, 0, 0] = sums[0] - _BLOCK**2 * means[0] ** 2
         # a displacement along u moves the right picture to the left, one along v moves it down
-        structure[:, 0, 1] = structure[:, 1, 0] = -(sums[1] - _BLOCK**2 * means[0] * means[1])
-        structure[:, 1, 1] = sums[2] - _BLOCK**2 * means[1] ** 2
-        x_px, y_px, disparity_px = (_blocks(_as_float(values), shape) / _BLOCK**2 for values in (x, y, disparity))
-        whole = _blocks(both, shape) == _BLOCK**2
+        slope_mean = np.stack([-_means(slope_x, shape), _means(slope_y, shape)], axis=1)
+        squares = [_means(product, shape) for product in (slope_x * slope_x, -slope_x * slope_y, slope_y * slope_y)]
+        structure = np.stack(squares, axis=1)[:, ((0, 1), (1, 2))] - slope_mean[:, :, None] * slope_mean[:, None, :]
+        structure *= _BLOCK**2
+        trace = np.trace(structure, axis1=1, axis2=2)
+        middle = _SCALE * (_BLOCK * np.arange(max(shape)) + 0.5 * (_BLOCK - 1))
+        y_px, x_px = (axis.ravel() for axis in np.meshgrid(middle[: shape[0]], middle[: shape[1]], indexing="ij"))
         return cls(
-            left[:height, :width],
+            _as_float(left[:height, :width]),
             right,
-            _as_float(map_x),
-            _as_float(map_y),
             slope_x,
             slope_y,
+            map_x,
+            map_y,
+            shape,
             whole,
             x_px,
             y_px,
-            disparity_px,
+            _table_disparity(pair.rig, table_z_mm, x_px, y_px),
+            slope_mean,
             structure,
-            shape,
+            np.linalg.inv(structure + _RIDGE * (1.0 + trace)[:, None, None] * np.eye(2)),
         )
 
-    @property
-    def count(self) -> int:
-        """Number of blocks."""
-        return self.shape[0] * self.shape[1]
-
-    def linearised(self, u_px: Array, v_px: Array, slack_px: float) -> _Linearised:
-        """Compare the images, the right one displaced by a field given at the blocks."""
-        u, v = (self._spread(field) for field in (u_px, v_px))
-        warped = cv2.remap(self.right, self.map_x - u / _SCALE, self.map_y + v / _SCALE, cv2.INTER_CUBIC)
+    def linearised(self, displaced_px: Array, slack_px: float) -> _Linearised:
+        """Compare the images, the right one displaced by a field (u, v) given at the blocks, shape (B, 2)."""
+        u, v = (self._spread(field / _SCALE) for field in displaced_px.T)
+        warped = cv2.remap(self.right, self.map_x - u, self.map_y + v, cv2.INTER_CUBIC)
         residual = _as_float(self.left - warped)
         size = _BLOCK**2
-        mean = _blocks(residual, self.shape) / size
-        energy = _blocks(residual * residual, self.shape) / size - mean**2
-        gradient = np.stack(
-            [
-                -(_blocks(residual * self.slope_x, self.shape) - mean * _blocks(self.slope_x, self.shape)),
-                _blocks(residual * self.slope_y, self.shape) - mean * _blocks(self.slope_y, self.shape),
-            ],
-            axis=-1,
-        )
-        noise2 = float(np.median(energy[self.valid])) if self.valid.any() else 1.0
+        mean = _means(residual, self.shape)
+        energy = _means(residual * residual, self.shape) - mean**2
+        # residual = left - right(displaced): its derivative by u is -slope_x of the picture's content, by v slope_y
+        along = [-_means(residual * self.slope_x, self.shape), _means(residual * self.slope_y, self.shape)]
+        gradient = size * (np.stack(along, axis=1) - mean[:, None] * self.slope_mean)
+        noise2 = median(energy[self.whole]) if self.whole.any() else 1.0
         trace = np.trace(self.structure, axis1=1, axis2=2)
-        usable = self.valid & (energy <= _NOISE_FACTOR**2 * noise2 + slack_px**2 * trace / size)
+        usable = self.whole & (energy <= _NOISE_FACTOR**2 * noise2 + slack_px**2 * trace / size)
         # what stands in one block reaches into its neighbours
-        stands = (self.valid & ~usable).reshape(self.shape).astype(np.uint8)
+        stands = (self.whole & ~usable).reshape(self.shape).view(np.uint8)
         usable &= cv2.dilate(stands, np.ones((3, 3), np.uint8)).ravel() == 0
         # slopes that are noise tell nothing of a displacement
         told = np.maximum(1.0 - 2.0 * size * _NOISE_SLOPE * noise2 / np.maximum(trace, _RIDGE), _RIDGE)
         information = self.structure * (told / max(noise2, _LEAST_NOISE2))[:, None, None] + _RIDGE * np.eye(2)
-        # residual = left - right(displaced): its derivative by u is -slope_x of the picture's content, by v slope_y
-        safe = self.structure + _RIDGE * (1.0 + trace)[:, None, None] * np.eye(2)
-        displacement = np.linalg.solve(safe, gradient[..., None])[..., 0]
-        sigma = np.sqrt(np.linalg.inv(safe)[:, (0, 1), (0, 1)] * noise2)
+        displacement = (self.solved @ gradient[..., None])[..., 0]
+        sigma = np.sqrt(self.solved[:, (0, 1), (0, 1)] * noise2)
         usable &= (np.abs(displacement) <= slack_px + _LOOSE_SIGMA * sigma).all(axis=1)
         chi2 = np.einsum("bi,bij,bj->b", displacement, information, displacement)
-        inflation = max(1.0, float(np.median(chi2[usable])) / _MEDIAN_CHI2) if usable.any() else 1.0
-        textured = self.valid & (sigma < _TEXTURED_PX).all(axis=1)
+        inflation = max(1.0, median(chi2[usable]) / _MEDIAN_CHI2) if usable.any() else 1.0
+        textured = self.whole & (sigma < _TEXTURED_PX).all(axis=1)
         rejected = float(np.mean(~usable[textured])) if textured.any() else 0.0
         return _Linearised(usable, rejected, displacement, information, inflation)
 
     def _spread(self, values: Array) -> NDArray[np.float32]:
         """Return values given at the blocks' centres at every pixel."""
-        grid = values.reshape(self.shape).astype(np.float32)
+        grid = _as_float(values.reshape(self.shape))
         height, width = self.left.shape
-        return np.asarray(cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+        return _as_float(cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
 def _as_float(values: NDArray[Any]) -> NDArray[np.float32]:
-    return np.asarray(values, dtype=np.float32)
+    return np.ascontiguousarray(values, dtype=np.float32)
 
 
-def _blocks(values: NDArray[np.float32], shape: tuple[int, int]) -> Array:
-    """Return the sums over the blocks, shape (B,)."""
+def _means(values: NDArray[np.float32], shape: tuple[int, int]) -> Array:
+    """Return the means over the blocks, shape (B,)."""
     rows, columns = shape
-    means = cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA)
-    return means.astype(np.float64).ravel() * _BLOCK**2
+    return np.asarray(cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float64).ravel()
