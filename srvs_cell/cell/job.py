@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import structlog
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.cell.journal import GripperKnowledge
+from srvs_cell.cell.journal import JOB_PLACES, GripperKnowledge
 from srvs_cell.cell.recovery import BETTER_SEEN_AGAIN, CARRYING, Recovery, StepName, decide
 from srvs_cell.planning import Carry
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.calibration import Calibration
     from srvs_cell.cell.devices import Devices
+    from srvs_cell.cell.job_places import JobPlaces
     from srvs_cell.cell.journal import Journal
     from srvs_cell.cell.manipulator import Manipulator
     from srvs_cell.cell.recorder import RunRecorder
@@ -145,8 +146,7 @@ class Job:
         early: what was made of the left image while the arm travelled.
         looks: finished looks.
         aside: looks are taken from aside: it changes with every look that was doubted.
-        places_mm: the places that the job is about: those that were occupied when it first planned, and of parts that
-            were added since.
+        places: the places that the job is about; before it has planned those of a former one that is not finished.
         sightings: what each look saw since the last confirmation.
         carried: how each workpiece has been carried since it was perceived.
         finish: end at the next moment at which the gripper is empty.
@@ -162,6 +162,7 @@ class Job:
         run: int,
         folder: Path,
         dry_run: bool,
+        places: JobPlaces | None,
         on_change: Callable[[], None],
         warn: Callable[[Alarm, str], None],
     ) -> None:
@@ -176,7 +177,7 @@ class Job:
         self.early: Any = None
         self.looks = 0
         self.aside = False
-        self.places_mm: tuple[Point2, ...] = ()
+        self.places = places
         self.sightings: list[tuple[Workpiece, ...]] = []
         self.carried: dict[int, Carry] = {}
         self.finish = False
@@ -225,6 +226,29 @@ class Job:
         """Record an event of this job."""
         with self.equipment.devices.clock.working():
             await self.equipment.journal.event(kind, name, run=self.run_number, source="job", detail=detail)
+
+    async def keep_places(self, places: JobPlaces | None) -> None:
+        """Record the places that the job is about, on disk before anything moves; None: it is finished."""
+        if self.dry_run or places == self.places:
+            return
+        await self.journal_event(
+            JOB_PLACES, "forgotten" if places is None else "kept", places.as_json() if places else {}
+        )
+        self.places = places
+
+    async def places_to_keep(self, standing_mm: Sequence[Point2], tolerance_mm: float) -> JobPlaces | None:
+        """Return the places to plan on: the job's own, or those of a former job where the parts allow it.
+
+        What becomes of a former job is logged and journalled.
+        """
+        places = self.places
+        if places is None or places.run == self.run_number:
+            return places
+        reason = places.why_given_up(standing_mm, tolerance_mm)
+        said = "given up" if reason else "continued"
+        _log.info("unfinished job", begun_by=places.begun_by, run=self.run_number, places=said, reason=reason)
+        await self.journal_event("unfinished_job", said, {"begun_by": places.begun_by, "reason": reason})
+        return None if reason else places
 
     def forget_failures(self, step: StepName) -> None:
         """Begin to count anew how often a step has failed: the job has come forward."""

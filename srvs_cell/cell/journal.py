@@ -27,6 +27,8 @@ T = TypeVar("T")
 Json = dict[str, Any]
 
 SCHEMA_VERSION = 1
+JOB_PLACES = "job_places"
+"""Kind of the events that say on which places an unfinished job stands; the newest counts, without detail: on none."""
 _JSON_COLUMNS = ("detail", "result")
 _SCHEMA = """
 CREATE TABLE runs (
@@ -65,11 +67,13 @@ class LeftOver:
         motions: intents without outcome, oldest first.
         knowledge: what was known of the gripper; None in a new journal.
         held: what it held, where it held something.
+        job_places: of a job that was not finished; None where there is none.
     """
 
     motions: tuple[Json, ...]
     knowledge: GripperKnowledge | None
     held: Json | None
+    job_places: Json | None = None
 
     @property
     def unresolved(self) -> str:
@@ -267,7 +271,14 @@ class Journal:
         open_motions = _rows(connection.execute("SELECT * FROM motions WHERE outcome IS NULL ORDER BY id"))
         row = connection.execute("SELECT knowledge, held FROM gripper").fetchone()
         knowledge, held = (None, None) if row is None else (GripperKnowledge(row["knowledge"]), row["held"])
-        return LeftOver(tuple(open_motions), knowledge, None if held is None else json.loads(held))
+        newest = "SELECT detail FROM events WHERE kind = ? ORDER BY id DESC LIMIT 1"
+        places = connection.execute(newest, (JOB_PLACES,)).fetchone()
+        return LeftOver(
+            tuple(open_motions),
+            knowledge,
+            None if held is None else json.loads(held),
+            None if places is None else json.loads(places["detail"]) or None,
+        )
 
     def _close(self) -> None:
         if self._connection is not None:

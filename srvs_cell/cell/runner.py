@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.job import End, Job
-from srvs_cell.cell.journal import GripperKnowledge
+from srvs_cell.cell.journal import JOB_PLACES, GripperKnowledge
 from srvs_cell.cell.manipulator import Manipulator
 from srvs_cell.cell.notices import CELL
 from srvs_cell.cell.packml import Mode
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srvs_cell.cell.job import Equipment, JobEnd, Step
+    from srvs_cell.cell.job_places import JobPlaces
     from srvs_cell.cell.manipulator import Hand
     from srvs_cell.cell.notices import Notices
     from srvs_cell.ports import RobotStatus
@@ -39,6 +40,7 @@ class JobRunner:
         job: the present or the last job, or None before the first one.
         paused: whether it waits between two single steps.
         runs_done: jobs that were finished.
+        left_places: places of the job that the last process has left unfinished.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class JobRunner:
         self.job: Job | None = None
         self.paused = False
         self.runs_done = 0
+        self.left_places: JobPlaces | None = None
         self._equipment, self._devices = equipment, equipment.devices
         self._hand, self._notices = hand, notices
         self._on_status = on_status
@@ -61,6 +64,19 @@ class JobRunner:
     def moving(self) -> bool:
         """Whether a motion of the job is between its intent and its outcome."""
         return self.running and self.job is not None and self.job.manipulator.busy
+
+    @property
+    def places(self) -> JobPlaces | None:
+        """Places of the job that is not finished; the next one goes on on them."""
+        return self.left_places if self.job is None else self.job.places
+
+    async def forget_places(self) -> None:
+        """Let the next job take the places where the parts then stand; between two jobs."""
+        entry = self._notices.event(JOB_PLACES, "forgotten", CELL, {})
+        await self._notices.written(entry)
+        self.left_places = None
+        if self.job is not None:
+            self.job.places = None
 
     async def run(self, mode: Mode) -> JobEnd:
         """Do a new job, or the next step of the paused one, and journal how it ended."""
@@ -184,6 +200,7 @@ class JobRunner:
             run=run,
             folder=folder,
             dry_run=dry_run,
+            places=self.places,
             on_change=self._notices.changed,
             warn=lambda alarm, detail: self._notices.raise_alarm(AlarmError(alarm, detail)),
         )

@@ -48,6 +48,7 @@ def make_snapshot(
         "next_step": job.next_step() if job is not None and runner.paused else None,
         "run_directory": None if job is None else str(job.folder),
         "runs_done": runner.runs_done,
+        "unfinished_job": None if runner.places is None else runner.places.begun_by,
         **_progress_json(Progress() if job is None else job.progress),
         "alarms": notices.alarms.as_json(),
         "gripper": {

@@ -14,6 +14,7 @@ from srvs_cell.cell.export import plan_json
 from srvs_cell.cell.grip_steps import Deliver, Pick, Place
 from srvs_cell.cell.interlocks import check_certainty
 from srvs_cell.cell.job import Job, Outcome, Step
+from srvs_cell.cell.job_places import JobPlaces
 from srvs_cell.cell.look_steps import Rise, look
 from srvs_cell.cell.recovery import StepName
 from srvs_cell.planning import KeptPlaces, footprint_centroid_mm, why_not_taken
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from srvs_cell.config import ToleranceParameters
-    from srvs_cell.scene import Workpiece
+    from srvs_cell.planning import CellPlan
+    from srvs_cell.scene import Point2, Workpiece
 
 _FURTHER_LOOKS = 3
 """Looks beyond those that must agree, before an operator is asked."""
@@ -89,7 +91,10 @@ class Plan:
             if parameters.unmovable_parts == "hold":
                 raise AlarmError(Alarm.PART_LEFT, f"{left}. Nothing was moved for this plan.")
             job.warn(Alarm.PART_LEFT, f"{left}.")
-        kept = KeptPlaces(job.places_mm, parameters.tolerance.verify_mm) if job.places_mm else None
+        tolerance_mm = parameters.tolerance.verify_mm
+        standing = [footprint_centroid_mm(w.footprint_mm) for w in workpieces if not why_not_taken(w)]
+        places = await job.places_to_keep(standing, tolerance_mm)
+        kept = None if places is None else KeptPlaces(places.points_mm, tolerance_mm)
         plan = await job.in_thread(lambda: job.equipment.plan(workpieces, kept))
         relocation = plan.relocation
         content = plan_json(plan)
@@ -109,8 +114,7 @@ class Plan:
             check_certainty(by_id[move.workpiece], parameters.tolerance)
         job.progress.plan, job.progress.moves_left = plan, len(plan.moves)
         job.carried = {}
-        if not job.places_mm:
-            job.places_mm = tuple(footprint_centroid_mm(by_id[number].footprint_mm) for number in plan.table.workpieces)
+        await job.keep_places(_places(job, places, plan, standing) if plan.moves else None)
         steps: list[Step] = []
         for number, move in enumerate(plan.moves, start=1):
             steps += [Pick(by_id[move.workpiece], move), Place(move)]
@@ -147,18 +151,31 @@ class Verify:
         if found.changes:
             # This look counts where several must agree before the new plan; whoever came to stand here has a place.
             job.sightings = [job.progress.verified]
-            job.places_mm += tuple(
-                added
-                for added in found.added_mm
-                if all(math.dist(added, place) > tolerance.verify_mm for place in job.places_mm)
-            )
+            if job.places is not None:
+                known = job.places.points_mm
+                added = [new for new in found.added_mm if all(math.dist(new, p) > tolerance.verify_mm for p in known)]
+                await job.keep_places(replace(job.places, points_mm=(*known, *added)))
             changes = "; ".join(found.changes)
             job.warn(Alarm.SCENE_CHANGED, f"After move {job.progress.moves_done}: {changes}.")
             raise AlarmError(Alarm.VERIFY_FAILED, f"{changes} (allowed {tolerance.verify_mm} mm).")
         job.forget_failures(self.name)
         if not job.progress.moves_left:
             job.progress.workpieces = job.progress.verified
+            await job.keep_places(None)
         return Outcome(evidence)
+
+
+def _places(job: Job, former: JobPlaces | None, plan: CellPlan, standing: Sequence[Point2]) -> JobPlaces:
+    """Return what a job, also another one, has to know of its places to go on after this plan."""
+    if former is None:
+        former = JobPlaces(job.run_number, job.run_number, tuple(standing))
+    into_bin = sum(not goal.visible for goal in plan.goals)
+    return replace(
+        former,
+        run=job.run_number,
+        waits_mm=tuple(dict.fromkeys((*former.waits_mm, *plan.buffers_mm))),
+        fewer=max(0, len(former.points_mm) - len(standing)) + into_bin,
+    )
 
 
 def _left(workpiece: Workpiece) -> str:

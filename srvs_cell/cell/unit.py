@@ -15,6 +15,7 @@ import structlog
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell import packml
+from srvs_cell.cell.job_places import JobPlaces
 from srvs_cell.cell.journal import GripperKnowledge, utc_now
 from srvs_cell.cell.manipulator import Hand
 from srvs_cell.cell.notices import CELL, Notices
@@ -147,6 +148,25 @@ class Unit:
         await self._notices.noted(self._notices.event("resolve", holds, source, detail))
         return CommandAnswer(not reason, self._state, reason, Alarm.COMMAND_REFUSED if reason else None)
 
+    async def forget_job(self, source: str) -> CommandAnswer:
+        """Give up the places of an unfinished job: the next one takes those where the parts stand by then.
+
+        Args:
+            source: who says so, for the journal.
+        """
+        places, answer = self._runner.places, CommandAnswer(accepted=True, state=self._state)
+        if self._runner.running:
+            reason = f"The job is being done in {self._state.title}; hold, stop or abort it first."
+            answer = CommandAnswer(False, self._state, reason, Alarm.COMMAND_REFUSED)
+        elif places is None:
+            answer = CommandAnswer(False, self._state, "There is no unfinished job.", Alarm.COMMAND_REFUSED)
+        else:
+            await self._runner.forget_places()
+            self._notices.changed()
+        detail = {"accepted": answer.accepted, "reason": answer.reason}
+        await self._notices.noted(self._notices.event("command", "forget", source, detail))
+        return answer
+
     # -- what anybody can see ----------------------------------------------------------------------------------------
 
     def snapshot(self) -> Json:
@@ -199,6 +219,7 @@ class Unit:
         try:
             left = await self._notices.written(self._journal.open())
             self._notices.clear_alarms(Alarm.JOURNAL_FAILED)
+            self._runner.left_places = None if left.job_places is None else JobPlaces.from_json(left.job_places)
             take_over(self._hand, left)
         except AlarmError as error:
             self._notices.raise_alarm(error)

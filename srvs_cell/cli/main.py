@@ -31,6 +31,7 @@ MODULES = {
     "clear": _OPERATE,
     "mode": _OPERATE,
     "resolve": _OPERATE,
+    "forget": _OPERATE,
     "alarms": _OPERATE,
     "history": _OPERATE,
     "perceive": "srvs_cell.cli.see",

@@ -34,13 +34,14 @@ Limit = Annotated[int, typer.Option("--limit", min=1, max=10_000, help="How many
 
 
 def register(app: typer.Typer) -> None:
-    """Add status, the PackML commands, mode, resolve, alarms and history."""
+    """Add status, the PackML commands, mode, resolve, forget, alarms and history."""
     command = partial(app.command, cls=QuickCommand)
     command("status")(show_status)
     for name, purpose in COMMANDS.items():
         command(name, help=purpose)(_sender(name))
     command("mode")(set_mode)
     command("resolve")(resolve)
+    command("forget")(forget)
     command("alarms")(show_alarms)
     command("history")(show_history)
 
@@ -80,6 +81,11 @@ def resolve(
 ) -> None:
     """Tell the cell what the gripper holds, after a run that ended with a grip under way."""
     _send(socket, "resolve", {what: holds}, as_json=as_json)
+
+
+def forget(*, as_json: Json = False, socket: Socket = DEFAULT_SOCKET) -> None:
+    """Give up an unfinished job: the next one takes the places where the parts stand by then, not the former ones."""
+    _send(socket, "forget", None, as_json=as_json)
 
 
 def show_alarms(*, limit: Limit = 20, as_json: Json = False, socket: Socket = DEFAULT_SOCKET) -> None:
@@ -138,6 +144,8 @@ def _status_text(status: dict[str, Any]) -> str:
         ("Page", status["service"]["page"] or "none (service.tcp_port)"),
         ("Commands", ", ".join(status["allowed_commands"])),
     ]
+    if (unfinished := status["unfinished_job"]) is not None:
+        rows.insert(4, ("Unfinished", f"job {unfinished}: its places are kept until it is finished, or 'forget'"))
     lines = [f"{name:<{_WIDTH}}{value}" for name, value in rows]
     for alarm in status["alarms"]:
         lines.append(f"{'Alarm':<{_WIDTH}}[{alarm['code']} {alarm['name']}] {alarm['detail']}")

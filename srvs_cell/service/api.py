@@ -145,6 +145,10 @@ def _add_commands(app: FastAPI, unit: ServedUnit, metrics: Metrics) -> None:
     async def resolve(body: ResolveRequest, by: Source) -> JSONResponse:
         return answer("resolve", await unit.resolve_gripper(body.gripper, by))
 
+    @app.post(PREFIX + "/forget")
+    async def forget(by: Source) -> JSONResponse:
+        return answer("forget", await unit.forget_job(by))
+
 
 def _add_error_answers(app: FastAPI) -> None:
     """Every refusal has one shape: ``reason``, and ``alarm`` where the registry has one."""

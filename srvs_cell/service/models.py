@@ -28,6 +28,10 @@ class ServedUnit(Protocol):
         """Take the operator's word for what the gripper holds."""
         ...
 
+    async def forget_job(self, source: str) -> CommandAnswer:
+        """Give up the places of an unfinished job, or answer why not."""
+        ...
+
     def snapshot(self) -> dict[str, Any]:
         """Return the state as plain data; it has a ``version`` that grows with each change."""
         ...

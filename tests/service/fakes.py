@@ -44,6 +44,10 @@ class FakeUnit:
         self.gripper = holds
         return CommandAnswer(True, self.state)
 
+    async def forget_job(self, source: str) -> CommandAnswer:
+        self.sources.append(source)
+        return CommandAnswer(False, self.state, "There is no unfinished job.", Alarm.COMMAND_REFUSED)
+
     async def change(self) -> None:
         async with self._changed:
             self.version += 1
@@ -109,6 +113,7 @@ class FakeUnit:
             "timings_ms": {},
             "job_time_s": None,
             "runs_done": 6,
+            "unfinished_job": 5,
             "run_directory": folder,
             "artefacts": {
                 "left_1": f"{folder}/left_1.png",

@@ -1,6 +1,7 @@
 """What a real cell meets: the daemon killed, the wire cut, the camera gone. Real processes, real sockets."""
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -13,6 +14,7 @@ from srvs_cell.cli.client import DaemonClient
 from srvs_cell.cli.simulated_cell import SimulatedCell, SimulationOptions, simulated_cell
 
 LIMIT_S, POLL_S = 90.0, 0.02
+NEAR_MM = 8.0
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
@@ -44,6 +46,12 @@ def start_until_holding(cell: SimulatedCell) -> dict[str, Any]:
     return follow(cell, lambda status: status["gripper"]["knowledge"] == "holding")
 
 
+def _standing(cell: SimulatedCell) -> list[tuple[float, float]]:
+    """Return where the parts truly stand, sorted by y."""
+    feet = (part["base_mm"] for part in cell.control.ask("truth")["parts"])
+    return sorted(((float(x_mm), float(y_mm)) for x_mm, y_mm, _ in feet), key=lambda foot: foot[1])
+
+
 def codes(status: dict[str, Any]) -> set[int]:
     return {alarm["code"] for alarm in status["alarms"]}
 
@@ -60,6 +68,7 @@ def test_nothing_moves_before_an_operator_commands(cell: SimulatedCell) -> None:
 def test_killed_in_mid_plan_it_sends_no_move_again_and_plans_anew_after_a_person_has_looked(
     cell: SimulatedCell,
 ) -> None:
+    places = _standing(cell)
     start_until_holding(cell)
     cell.daemon.kill()
     motions = cell.control.ask("truth")["motions_started"]
@@ -91,6 +100,10 @@ def test_killed_in_mid_plan_it_sends_no_move_again_and_plans_anew_after_a_person
         looked = ["observe_left", "move_laterally", "observe_right", "perceive"]
         assert begun[:6] == ["rise", "deliver", *looked], "something moved on that was not looked at anew"
         assert begun.index("plan") < begun.index("pick")
+        assert status["unfinished_job"] is None
+    # The part that was in the gripper went to a buffer place first; nobody has made a place of the job of that.
+    for place, end in zip(places, _standing(cell), strict=True):
+        assert math.dist(place, end) < NEAR_MM
     heights_mm = [
         part["height_mm"]
         for part in sorted(cell.control.ask("truth")["parts"], key=lambda part: -float(part["base_mm"][1]))
