@@ -6,7 +6,7 @@ composing two transforms whose inner frames differ raises `FrameMismatchError`.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -46,7 +46,7 @@ class Xyzwpr:
 
     def as_tuple(self) -> tuple[float, float, float, float, float, float]:
         """Return (X, Y, Z, W, P, R)."""
-        return astuple(self)
+        return self.x_mm, self.y_mm, self.z_mm, self.w_deg, self.p_deg, self.r_deg
 
     def __str__(self) -> str:
         return ",".join(f"{value:.3f}" for value in self.as_tuple())

@@ -125,9 +125,8 @@ class SimTime:
 
     def _advance(self, seconds: float) -> int:
         """Make as many steps as fit, at most a batch, stopping where somebody wakes; return how many."""
-        for count in range(_BATCH_STEPS):
-            if seconds < (count + 1) * TIMESTEP_S:
-                return count
+        steps = min(int(seconds / TIMESTEP_S), _BATCH_STEPS)
+        for count in range(1, steps + 1):
             wake_s = self._page.wake_s
             waited = wake_s > self._now_s
             self._now_s = self._step()
@@ -135,7 +134,9 @@ class SimTime:
             for thread in [thread for thread, at_s in self._wakes.items() if at_s <= self._now_s]:
                 self._awake.add(thread)
                 del self._wakes[thread]
-            self.lock.notify_all()
             if self._awake or (waited and wake_s <= self._now_s):
-                return count + 1
-        return _BATCH_STEPS
+                steps = count
+                break
+        if steps:
+            self.lock.notify_all()  # nobody could have looked before: the lock is held for the whole batch
+        return steps

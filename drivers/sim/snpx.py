@@ -61,19 +61,21 @@ class Assignment:
     count: int
     multiply: int
 
-    def words(self, source: SnpxSource) -> list[int]:
-        """Return the present words."""
-        found: list[int] = []
-        for index in range(self.index, self.index + self.size):
-            if len(found) >= self.size:
-                break
+    def words(self, source: SnpxSource, begin: int, end: int) -> list[int]:
+        """Return the present words from ``begin`` up to ``end``, counted from the entry's first."""
+        index, found = self.index, list[int]()
+        if self.name == "R":  # registers are all of one length, so those before are not asked
+            per_element = self.count or _REGISTER_WORDS
+            index, begin, end = index + begin // per_element, begin % per_element, end - begin + begin % per_element
+        while len(found) < end:
             words = (
                 split(round(source.register(index) * self.multiply))
                 if self.name == "R"
                 else source.element(self.name, index, self.multiply)
             )
             found += words[self.first : self.first + self.count] if self.count else words
-        return found[: self.size]
+            index += 1
+        return found[begin:end]
 
     def write(self, source: SnpxSource, offset: int, value: int) -> None:
         """Write one word; anything but a register keeps its value."""
@@ -99,9 +101,9 @@ class WordTable:
         """Return words; what is not assigned reads 0 without an error."""
         found = [0] * count
         for entry in reversed(self._entries):
-            first, end = max(word, entry.address), min(word + count, entry.address + entry.size)
-            if first < end:
-                found[first - word : end - word] = entry.words(source)[first - entry.address : end - entry.address]
+            if entry.address < word + count and word < entry.address + entry.size:
+                first, end = max(word, entry.address), min(word + count, entry.address + entry.size)
+                found[first - word : end - word] = entry.words(source, first - entry.address, end - entry.address)
         return found
 
     def write(self, word: int, values: list[int], source: SnpxSource) -> None:

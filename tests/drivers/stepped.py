@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 _QUIET_ROUNDS = 5
+_BUSY_ROUNDS = 100
+"""So often an answer is looked for at once; one that takes longer may take a wire's whole time-out."""
+
 _LOOK_AGAIN_S = 0.002
 """A thread that ends tells nobody, so it is looked for."""
 
@@ -109,10 +112,10 @@ class SteppedClock:
             yield
 
     async def _run(self) -> None:
-        quiet = 0
+        quiet = busy = 0
         while self._queue:
-            await asyncio.sleep(0)
-            quiet = 0 if self.busy() else quiet + 1
+            await asyncio.sleep(0.0 if busy < _BUSY_ROUNDS else _LOOK_AGAIN_S)
+            quiet, busy = (0, busy + 1) if self.busy() else (quiet + 1, 0)
             if quiet < _QUIET_ROUNDS:
                 continue
             quiet = 0

@@ -13,7 +13,7 @@ import pytest
 from srvs_cell.cli.client import DaemonClient
 from srvs_cell.cli.simulated_cell import SimulatedCell, SimulationOptions, simulated_cell
 
-LIMIT_S, POLL_S = 90.0, 0.02
+LIMIT_S, POLL_S = 90.0, 0.04
 NEAR_MM = 8.0
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

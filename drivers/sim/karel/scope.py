@@ -100,25 +100,25 @@ class Scope:
 
 
 class Reader:
-    """The tokens of a program, one after the other."""
+    """The tokens of a program, one after the other.
+
+    Attributes:
+        now: the token that comes.
+    """
 
     def __init__(self, tokens: list[Token]) -> None:
-        self._tokens, self._at = tokens, 0
-
-    @property
-    def now(self) -> Token:
-        """The token that comes."""
-        return self._tokens[self._at]
+        self.now = tokens[0]
+        self._after = iter(tokens[1:])
 
     def next(self) -> Token:
-        """Take the token that comes."""
+        """Take the token that comes; the last one stays."""
         token = self.now
-        self._at = min(self._at + 1, len(self._tokens) - 1)
+        self.now = next(self._after, token)
         return token
 
     def sees(self, *texts: str) -> bool:
         """Whether one of these words or symbols comes."""
-        return self.now.kind in {"word", "symbol"} and self.now.text in texts
+        return self.now.text in texts and self.now.kind in {"word", "symbol"}
 
     def accepts(self, *texts: str) -> bool:
         """Take one of these words or symbols if it comes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
 
@@ -47,8 +48,9 @@ def load(sources: Mapping[str, str]) -> dict[str, Program]:
     return programs
 
 
+@lru_cache(maxsize=16)
 def parse(file: str, text: str) -> Program:
-    """Return the program of one file.
+    """Return the program of one file; remembered, because every double reads the same files.
 
     Raises:
         TpError: the first thing that is wrong.

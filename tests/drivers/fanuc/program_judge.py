@@ -44,14 +44,16 @@ class Robot:
         return self.words()
 
     def _pass(self, seconds: float) -> None:
+        """Let time pass; the programs catch up when somebody looks."""
         self.time.advance_to(self.time.now_s() + seconds)
         if self.beats and self.time.now_s() - self._beat_s >= BEAT_S:
             self.beat()
 
     def pass_s(self, seconds: float) -> list[int]:
         for _ in range(round(seconds / 0.05)):
-            words = self.go(0.05)
-        return words
+            self._pass(0.05)
+            self.held()
+        return self.words()
 
     def beat(self) -> None:
         self._beat, self._beat_s = self._beat % 30_000 + 1, self.time.now_s()
@@ -102,7 +104,8 @@ class Robot:
         """Wait until the arm moves."""
         begun_s = self.time.now_s()
         while not self.point.moving:
-            self.go(0.005)
+            self._pass(0.005)
+            self.held()
             assert self.time.now_s() - begun_s < PATIENCE_S
 
     def at(self, pose: tuple[float, ...]) -> bool:

@@ -97,6 +97,10 @@ class WireCell:
             await self.b.clock.sleep(_LOOK_S)
         await self.b.clock.sleep(_LOOK_S)
 
+    async def quiet(self) -> None:
+        """Wait until nobody waits for an answer: the wire's time-out can be shortened for the next question only."""
+        await self.b.clock.sleep(_LOOK_S)
+
     async def settled(self) -> None:
         """Let everything come to its end that a fault has set going."""
         await self.b.clock.sleep(_SETTLED_S)

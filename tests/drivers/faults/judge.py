@@ -41,10 +41,12 @@ async def _reach(c: WireCell, when: str) -> None:
     await c.reachable()
     if when == "idle":
         await c.cell.to_idle()
+        await c.quiet()
     elif when == "suspended":
         c.point.world.blocks.clear()
         await c.cell.start()
         await c.cell.reaches("Suspended")
+        await c.quiet()
     else:
         await c.cell.start()
         await c.until_moving(when)

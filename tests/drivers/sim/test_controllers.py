@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from importlib.metadata import entry_points
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -12,11 +13,11 @@ from drivers.sim.cell import _WIRES
 from drivers.sim.control_server import Control, RequestError
 from drivers.sim.controllers import WIRES
 from srvs_cell.ports import DriverContext, Lifecycle, PortError, RobotArm
-from tests.drivers.fanuc.bench import HOME, PATIENT_S, TARGET
+from tests.drivers.fanuc.bench import HOME, IMPATIENT_S, PATIENT_S, TARGET
 from tests.drivers.stepped import PointArm, SteppedClock, SteppedTime
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 FAULTS = {"modbus": "CUT", "rmi": "CUT", "karel": "CUT", "karel-serial": "NONSENSE"}
 
@@ -28,6 +29,18 @@ def _driver(name: str) -> Any:
 
 def _busy(arm: Any) -> Callable[[], bool]:
     return lambda: (arm._wire if hasattr(arm, "_wire") else arm._session).busy
+
+
+@contextlib.contextmanager
+def _in_a_hurry(arm: Any) -> Iterator[None]:
+    """Do not wait long where only a time-out says that nobody answers: on a serial line."""
+    session = getattr(arm, "_session", None)
+    if session is None:
+        yield
+        return
+    patient_s, session._timeout_s = session._timeout_s, IMPATIENT_S
+    yield
+    session._timeout_s = patient_s
 
 
 def test_the_command_line_knows_every_wire() -> None:
@@ -55,7 +68,7 @@ async def test_the_driver_that_the_listing_names_moves_the_arm_and_meets_the_wir
         assert await arm.move_linear(TARGET, 200.0) == TARGET
         assert wired.controller.motions_started == 1
         wired.set_fault(wired.faults[FAULTS[wire]])
-        with pytest.raises(PortError):
+        with pytest.raises(PortError), _in_a_hurry(arm):
             await arm.move_linear(HOME, 200.0)
         wired.set_fault(wired.faults["NONE"])
         assert wired.controller.motions_started == 1
@@ -63,7 +76,7 @@ async def test_the_driver_that_the_listing_names_moves_the_arm_and_meets_the_wir
         await arm.connect()
         wired.cut()
         wired.controller.reboot()
-        with pytest.raises(PortError):
+        with pytest.raises(PortError), _in_a_hurry(arm):
             await arm.status()
         await clock.sleep(1.0)
         assert arm.lifecycle is Lifecycle.DISCONNECTED or wire == "modbus"
