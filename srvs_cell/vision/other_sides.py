@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srvs_cell.vision.faces import Face, Figure
+from srvs_cell.vision.faces import Face, Figure, inclined_faces
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,6 +27,8 @@ _LEAST_PX = 1.5
 _ALONG = np.linspace(-0.7, 0.7, 32)
 """Where on a side, -1 to 1, the picture is read: near its ends the neighbouring side's line is met."""
 _LINES_OF_SIDE = 3
+_SLOPE = 0.3
+"""Rise per millimetre from which all the slopes that parts have are within reach."""
 _LEAST_LEFT = 0.3
 """No side moves so far inwards that less of the rectangle is left."""
 _SIDES = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
@@ -34,7 +36,7 @@ _SIDES = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
 
 
 def other_rectangles(face: Face, field: EdgeField, rig: RectifiedRig, min_gradient: float) -> list[Face]:
-    """Return what a rectangle may be instead: each differs from it in one side, which lies on a line beside it.
+    """Return what a rectangle may be instead: with one side on a line beside it, or inclined where it is level.
 
     Args:
         face: other figures than rectangles have no alternative.
@@ -45,7 +47,7 @@ def other_rectangles(face: Face, field: EdgeField, rig: RectifiedRig, min_gradie
     if face.figure is not Figure.RECTANGLE:
         return []
     offsets_mm = _OFFSETS_PX * float(rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
-    found = []
+    found = inclined_faces(face, _SLOPE) if face.slope_u == 0.0 else [replace(face, slope_u=0.0)]
     for axis, end in _SIDES:
         size_mm = (face.length_mm, face.width_mm)[axis]
         unit = np.empty((_OFFSETS_PX.size, _ALONG.size, 2))
@@ -68,10 +70,11 @@ def _lines(points_mm: Array, field: EdgeField, rig: RectifiedRig, min_gradient: 
         min_gradient: least gradient of a line.
     """
     x, y, _ = rig.project_px(points_mm)
-    pixels = np.stack([x, y], axis=-1)
-    along = pixels[_ALONG.size - 1] - pixels[0]
-    across = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-    slopes = field.along_normals(pixels[None], np.broadcast_to(across, (1, *pixels.shape)), np.zeros(1))
+    last = _ALONG.size - 1
+    along_x, along_y = x[last] - x[0], y[last] - y[0]
+    length = np.hypot(along_x, along_y)
+    across = (np.full((1, x.size), along_y / length), np.full((1, x.size), -along_x / length))
+    slopes = field.along_normals((x[None], y[None]), across, np.zeros(1))
     # what does not run along most of the side, like print, has no say in the median
     line = np.abs(np.median(slopes.reshape(_OFFSETS_PX.size, _ALONG.size), axis=1))
     peak = np.zeros(line.shape, dtype=np.bool_)

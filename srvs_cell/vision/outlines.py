@@ -1,7 +1,8 @@
-"""Step 11a: many figures at once, sampled along their outlines, with the derivatives that fitting needs.
+"""Step 11a: many figures at once, sampled along their outlines, as both cameras see them.
 
 All figures of a batch have the same number of samples and the same seven parameters (x, y, z, length, angle, width,
-slope along the length), some of which are held: whatever is done to one is one array operation for all.
+slope along the length), some of which are held: whatever is done to one is one array operation for all. Coordinates
+and cameras come first in the arrays' shapes and samples last, so that each operation runs along many samples.
 """
 
 from __future__ import annotations
@@ -26,8 +27,41 @@ _CORNER_SHARE = 0.1
 """Share of a side left out at either end: there the neighbouring side's edge is met."""
 _MIN_SIZE_MM = 3.0
 _SIDE_SAMPLES_MIN = 6
+_NEAREST_MM = 1.0
+_TINY = float(np.finfo(float).tiny)
 _LENGTH, _ANGLE, _WIDTH, _SLOPE = 3, 4, 5, 6
 """Places of the parameters behind x, y and z."""
+
+
+@dataclass(frozen=True, eq=False)
+class Borders:
+    """Outlines as both rectified cameras see them: B figures with N samples; first axis: left and right image.
+
+    Attributes:
+        x_px, y_px: the samples, shape (2, B, N).
+        normal_x, normal_y: unit normals that point away from the figures' middles, the same shape.
+        by_parameter: how far the outline moves outwards at each sample with each of the figure's seven parameters, 0
+            for those that are held, pixels, shape (2, B, 7, N).
+        in_front: whether all of a figure is in front of the cameras and finite, shape (B,).
+    """
+
+    x_px: Array
+    y_px: Array
+    normal_x: Array
+    normal_y: Array
+    by_parameter: Array
+    in_front: NDArray[np.bool_]
+
+    def only(self, kept: NDArray[np.intp]) -> Borders:
+        """Return some of the figures by their numbers."""
+        return Borders(
+            self.x_px[:, kept],
+            self.y_px[:, kept],
+            self.normal_x[:, kept],
+            self.normal_y[:, kept],
+            self.by_parameter[:, kept],
+            self.in_front[kept],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +72,8 @@ class Outlines:
         figures: what each is.
         values: x, y, z, length, angle, width and slope along the length of each, shape (B, 7).
         free: which of them may change, bool, shape (B, 7).
-        unit: the samples in the figure's own unit square [-1, 1], shape (B, N, 2).
-        tangents: the outline's direction there, shape (B, N, 2).
+        unit: the samples in the figure's own unit square [-1, 1], shape (2, B, N).
+        tangents: the outline's direction there, shape (2, B, N).
         first, last: whether a sample is the first or last of its side, bool, shape (B, N).
     """
 
@@ -76,6 +110,7 @@ class Outlines:
         free[:, _ANGLE] = [face.figure is not Figure.CIRCLE for face in faces]
         free[:, _WIDTH] = rectangle
         free[:, _SLOPE] = rectangle & np.array(inclined)
+        unit, tangents = (np.ascontiguousarray(np.moveaxis(one, -1, 0)) for one in (unit, tangents))
         return cls(tuple(face.figure for face in faces), values, free, unit, tangents, first, last)
 
     def faces(self) -> list[Face]:
@@ -91,8 +126,8 @@ class Outlines:
             tuple(self.figures[number] for number in kept),
             self.values[kept],
             self.free[kept],
-            self.unit[kept],
-            self.tangents[kept],
+            self.unit[:, kept],
+            self.tangents[:, kept],
             self.first[kept],
             self.last[kept],
         )
@@ -103,71 +138,90 @@ class Outlines:
         values[:, [_LENGTH, _WIDTH]] = np.maximum(values[:, [_LENGTH, _WIDTH]], _MIN_SIZE_MM)
         return replace(self, values=values)
 
-    def points_mm(self, share: float = 1.0) -> Array:
-        """Return the samples, drawn towards the centre by a share, in the base frame, shape (B, N, 3)."""
-        return self._turned(self.unit) * share + self.values[:, None, :3]
+    def points_mm(self) -> Array:
+        """Return the samples in the base frame, shape (3, B, N)."""
+        return self._turned(self.unit) + self.values[:, :3].T[..., None]
 
-    def directions_mm(self) -> Array:
-        """Return the outline's direction at the samples, base frame, shape (B, N, 3)."""
-        return self._turned(self.tangents)
+    def seen(self, rig: RectifiedRig) -> Borders:
+        """Return the outlines as the cameras see them."""
+        rotation = rig.camera_T_base.rotation
+        figures, samples = self.unit.shape[1:]
+        camera = _mapped(rotation, self.points_mm()) + rig.camera_T_base.translation_mm[:, None, None]
+        in_front = np.isfinite(camera[2]).all(axis=1) & (camera[2].min(axis=1) > _NEAREST_MM)
+        depth = np.maximum(camera[2], _NEAREST_MM)
+        # both cameras differ in x alone
+        right = np.array([0.0, rig.baseline_mm])[:, None, None]
+        x, y = (camera[0] - right) / depth, np.broadcast_to(camera[1] / depth, (2, figures, samples))
+        along = _mapped(rotation, self._turned(self.tangents))
+        flow_x, flow_y = along[0] - x * along[2], along[1] - y * along[2]
+        length = np.maximum(np.hypot(flow_x, flow_y), _TINY)
+        normal_x, normal_y = flow_y / length, -flow_x / length
+        outwards = (x - x.mean(axis=-1, keepdims=True)) * normal_x + (y - y.mean(axis=-1, keepdims=True)) * normal_y
+        turn = np.where(outwards < 0.0, -1.0, 1.0)
+        normal_x, normal_y = turn * normal_x, turn * normal_y
+        # how a pixel moves along the normal when its point moves, as a linear function in the base frame
+        scale = rig.f_px / depth
+        covectors = np.stack([scale * normal_x, scale * normal_y, -scale * (normal_x * x + normal_y * y)])
+        by_parameter = self.change(_mapped(rotation.T, covectors))
+        return Borders(rig.f_px * x + rig.cx_px, rig.f_px * y + rig.cy_px, normal_x, normal_y, by_parameter, in_front)
+
+    def feet_px(self, rig: RectifiedRig, table_z_mm: float) -> tuple[Array, Array]:
+        """Return where both cameras see the points of the table under the samples, x and y of shape (2, B, N)."""
+        feet = self.points_mm()
+        feet[2] = table_z_mm
+        camera = _mapped(rig.camera_T_base.rotation, feet) + rig.camera_T_base.translation_mm[:, None, None]
+        scale = rig.f_px / np.maximum(camera[2], _NEAREST_MM)
+        x, y = (camera[axis] * scale + centre for axis, centre in ((0, rig.cx_px), (1, rig.cy_px)))
+        return np.stack([x, x - rig.baseline_mm * scale]), np.broadcast_to(y, (2, *y.shape))
 
     def change(self, covectors: Array) -> Array:
         """Return how linear functions of the samples' places change with the parameters.
 
         Args:
-            covectors: of each sample, base frame, shape (B, N, 3).
+            covectors: of each sample in each of K pictures, base frame, shape (3, K, B, N).
 
         Returns:
-            Derivatives by the seven parameters, 0 for those that are held, shape (B, N, 7).
+            Derivatives by the seven parameters, 0 for those that are held, shape (K, B, 7, N).
         """
         cos, sin = np.cos(self.values[:, _ANGLE, None]), np.sin(self.values[:, _ANGLE, None])
-        slope, u, v = self.values[:, _SLOPE, None], self.unit[..., 0], self.unit[..., 1]
-        g_x, g_y, g_z = covectors[..., 0], covectors[..., 1], covectors[..., 2]
-        by_length = u / 2.0 * (cos * g_x + sin * g_y + slope * g_z)
-        by_width = v / 2.0 * (cos * g_y - sin * g_x)
-        is_rectangle = self._is_rectangle[:, None]
-        turned = self._turned(self.unit)
-        columns = (
-            g_x,
-            g_y,
-            g_z,
-            by_length + np.where(is_rectangle, 0.0, by_width),
-            turned[..., 0] * g_y - turned[..., 1] * g_x,
-            by_width,
-            u * self.values[:, _LENGTH, None] / 2.0 * g_z,
-        )
-        return np.asarray(np.stack(columns, axis=-1) * self.free[:, None, :], dtype=np.float64)
+        g_x, g_y, g_z = covectors
+        half_u, half_v = self.unit / 2.0
+        along = cos * g_x + sin * g_y
+        across = cos * g_y - sin * g_x
+        u_mm, v_mm = self._sides_mm(self.unit)
+        by_width = half_v * across
+        by_length = half_u * (along + self.values[:, _SLOPE, None] * g_z)
+        changes = np.empty((*g_x.shape[:-1], self.values.shape[1], g_x.shape[-1]))
+        changes[..., 0, :], changes[..., 1, :], changes[..., 2, :] = covectors
+        # a figure that is no rectangle grows in both directions with its length
+        changes[..., _LENGTH, :] = by_length + np.where(self._is_rectangle, 0.0, by_width)
+        changes[..., _ANGLE, :] = u_mm * across - v_mm * along
+        changes[..., _WIDTH, :] = by_width
+        changes[..., _SLOPE, :] = u_mm * g_z
+        changes *= self.free[:, :, None]
+        return changes
 
     @property
     def _is_rectangle(self) -> NDArray[np.bool_]:
-        return np.array([figure is Figure.RECTANGLE for figure in self.figures])
+        return np.array([figure is Figure.RECTANGLE for figure in self.figures])[:, None]
+
+    def _sides_mm(self, unit: Array) -> tuple[Array, Array]:
+        """Return vectors of the unit square in millimetres along the length and across, each of shape (B, N)."""
+        length = self.values[:, _LENGTH, None] / 2.0
+        across = np.where(self._is_rectangle, self.values[:, _WIDTH, None] / 2.0, length)
+        return unit[0] * length, unit[1] * across
 
     def _turned(self, unit: Array) -> Array:
-        """Return vectors of the unit square as vectors of the base frame."""
-        length = self.values[:, _LENGTH, None]
-        across = np.where(self._is_rectangle[:, None], self.values[:, _WIDTH, None], length)
+        """Return vectors of the unit square as vectors of the base frame, shape (3, B, N)."""
+        u, v = self._sides_mm(unit)
         cos, sin = np.cos(self.values[:, _ANGLE, None]), np.sin(self.values[:, _ANGLE, None])
-        u, v = unit[..., 0] * length / 2.0, unit[..., 1] * across / 2.0
-        return np.stack([cos * u - sin * v, sin * u + cos * v, self.values[:, _SLOPE, None] * u], axis=-1)
+        return np.stack([cos * u - sin * v, sin * u + cos * v, self.values[:, _SLOPE, None] * u])
 
 
-def in_front(outlines: Outlines, rig: RectifiedRig) -> NDArray[np.bool_]:
-    """Whether all of each outline is in front of the cameras and finite, shape (B,)."""
-    depth = rig.camera_T_base.apply(outlines.points_mm())[..., 2]
-    return np.asarray(np.isfinite(depth).all(axis=1) & (depth.min(axis=1) > 1.0), dtype=np.bool_)
-
-
-def outward_normals(along: Array, pixels: Array) -> Array:
-    """Return the unit normals of outlines that point away from their middles.
-
-    Args:
-        along: direction of the outlines in the image, shape (B, N, 2).
-        pixels: their samples, the same shape.
-    """
-    normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
-    inward = ((pixels - pixels.mean(axis=1, keepdims=True)) * normals).sum(axis=-1, keepdims=True) < 0.0
-    return np.where(inward, -normals, normals)
+def _mapped(matrix: Array, vectors: Array) -> Array:
+    """Return a 3x3 matrix applied to vectors of shape (3, ...)."""
+    mapped: Array = (matrix @ vectors.reshape(3, -1)).reshape(vectors.shape)
+    return mapped
 
 
 @lru_cache(maxsize=256)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srvs_cell.vision.face_fit import FaceFit
-from srvs_cell.vision.outlines import Outlines, in_front
-from srvs_cell.vision.profiles import LEVELS, LEVELS_SEEN, USUAL_BLUR_PX, Pictures, Profiles, read_profiles
+from srvs_cell.vision.outlines import Outlines
+from srvs_cell.vision.profiles import GROUPS, LEVELS, LEVELS_SEEN, USUAL_BLUR_PX, Pictures, Profiles, read_profiles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,11 +41,11 @@ class Effort:
     samples: int = 96
 
 
-SCOUT = Effort((2.0, 2.0), 48)
+SCOUT = Effort((2.0, 2.0, 2.0), 48)
 """Shows whether a start leads anywhere: a border twice as wide as the picture's reaches farther."""
-REACH = Effort((2.0, 2.0, 1.0, 1.0, 1.0, 1.0))
+REACH = Effort((2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From a start a few pixels off."""
-SETTLE = Effort((1.0, 1.0, 1.0, 1.0, 1.0))
+SETTLE = Effort((1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From where the edges led."""
 _SIDE_SIGMA = 60.0
 """Grey values by which a side face may differ from what lies behind it."""
@@ -54,7 +54,10 @@ _ROBUST_SHARE = 0.1
 """Share of a stretch's contrast that the picture may deviate from the model like noise."""
 _CAPPED = 2.0
 """A residual counts at most this many times what it may be like noise."""
+_NARROW = 1.0
 _LEVEL_PASSES = 3
+_SETTLED_PX = 0.02
+"""A face whose outline would move by less is where it belongs."""
 _STEP_LIMITS = np.array([6.0, 6.0, 12.0, 6.0, 0.15, 6.0, 0.3])
 _DAMPING = 1e-4
 _TINY = 1e-9
@@ -96,24 +99,33 @@ def fit_profiles(
     if not starts:
         return fits
     outlines = Outlines.of(starts, inclined, effort.samples, equal_sides=True)
-    alive = np.arange(len(starts))
-    for width in (*effort.widths, None):
-        there = np.flatnonzero(in_front(outlines, rig))
+    alive, robust = np.arange(len(starts)), None
+    for number, width in enumerate(effort.widths):
+        borders = outlines.seen(rig)
+        there = np.flatnonzero(borders.in_front)
+        if there.size < alive.size:
+            outlines, borders, alive = outlines.only(there), borders.only(there), alive[there]
+            robust = None if robust is None else robust[:, there]
         if there.size == 0:
-            return fits
-        outlines, alive = outlines.only(there), alive[there]
-        blur_px = (effort.widths[-1] if width is None else width) * pictures.blur_px
-        profiles = read_profiles(outlines, pictures, rig, table_z_mm, blur_px)
-        explained = _explain(profiles, pictures.noise)
+            break
+        profiles = read_profiles(outlines, borders, pictures, rig, table_z_mm, width * pictures.blur_px)
+        # far from its place a face explains other values than where it will come to: there it is judged anew
+        explained = _explain(profiles, pictures.noise, robust if width == _NARROW else None)
         steps, covariances = _solved(profiles, explained, pictures.noise)
-        if width is not None:
-            outlines = outlines.moved(steps)
-            continue
-        rms_px, support, excess = _judged(profiles, explained, pictures.noise)
-        covariances = covariances[:, :3, :3] * (pictures.noise**2 * excess)[:, None, None]
-        for number, *fit in zip(alive, outlines.faces(), covariances, rms_px, support, strict=True):
-            face, covariance, rms, share = fit
-            fits[number] = FaceFit(face, covariance, float(rms), float(share))
+        settled = np.abs(steps[:, None] @ borders.by_parameter).max(axis=(0, 2, 3)) < _SETTLED_PX
+        if number + 1 == len(effort.widths):
+            settled[:] = True
+        elif width != _NARROW:
+            settled[:] = False
+        if settled.any():
+            rms_px, support, excess = _judged(profiles, explained, pictures.noise)
+            covariances = covariances[:, :3, :3] * (pictures.noise**2 * excess)[:, None, None]
+            faces = outlines.faces()
+            for one in np.flatnonzero(settled):
+                fits[alive[one]] = FaceFit(faces[one], covariances[one], float(rms_px[one]), float(support[one]))
+        going = np.flatnonzero(~settled)
+        outlines, alive = outlines.moved(steps).only(going), alive[going]
+        robust = explained.robust[:, going]
     return fits
 
 
@@ -122,9 +134,10 @@ def measure_blur(faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, t
     if not faces:
         return USUAL_BLUR_PX
     outlines = Outlines.of(faces, [False] * len(faces), SETTLE.samples, equal_sides=True)
+    borders = outlines.seen(rig)
 
     def energy(blur_px: float) -> float:
-        profiles = read_profiles(outlines, pictures, rig, table_z_mm, blur_px)
+        profiles = read_profiles(outlines, borders, pictures, rig, table_z_mm, blur_px)
         return float(_explain(profiles, pictures.noise).energy(profiles).sum())
 
     return min(BLURS_PX, key=energy)
@@ -132,16 +145,18 @@ def measure_blur(faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, t
 
 @dataclass(frozen=True, eq=False)
 class _Explained:
-    """Profiles explained by grey levels: B faces, G stretches, M values in each of both images.
+    """Profiles explained by grey levels: B faces, T offsets, N samples in each of both images.
 
     Attributes:
-        residual: seen minus expected, shape (B, G, 2, M).
-        weights: robust weights, the same shape.
-        limit: what a residual may be like noise, shape (B, G, 1, 1).
-        gradient: how the expected values change when the border moves outwards, shape (B, G, 2, M).
+        residual: seen minus expected, shape (2, B, T, N).
+        robust: how much each value counts because it is explained, 0 to 1, the same shape.
+        weights: the profiles' weights times that.
+        limit: what a residual may be like noise, shape (B, 1, N).
+        gradient: how the expected values change when the border moves outwards, shape (2, B, T, N).
     """
 
     residual: NDArray[np.float32]
+    robust: NDArray[np.float32]
     weights: NDArray[np.float32]
     limit: NDArray[np.float32]
     gradient: NDArray[np.float32]
@@ -149,43 +164,43 @@ class _Explained:
     def energy(self, profiles: Profiles) -> Array:
         """Return the capped squared residuals of each face, shape (B,)."""
         capped = np.minimum(np.abs(self.residual), _CAPPED * self.limit)
-        return np.asarray((profiles.weights * capped**2).sum(axis=(1, 2, 3)), dtype=np.float64)
+        return np.asarray((profiles.weights * capped**2).sum(axis=(0, 2, 3)), dtype=np.float64)
 
 
-def _explain(profiles: Profiles, noise: float) -> _Explained:
-    """Estimate the grey levels of each stretch, robustly."""
+def _explain(profiles: Profiles, noise: float, robust: NDArray[np.float32] | None = None) -> _Explained:
+    """Estimate the grey levels of each stretch, robustly; ``robust``: how much the values counted when last judged."""
     ridge = _ridge(noise)
-    weights = profiles.weights
-    residual, limit = profiles.grey, np.ones((*profiles.grey.shape[:2], 1, 1), np.float32)
-    by_image = np.zeros((*profiles.grey.shape[:3], len(LEVELS_SEEN[0])), np.float32)
-    for _ in range(_LEVEL_PASSES):
-        weighted = profiles.by_level * weights[..., None, :]
-        own = _together(weighted @ np.swapaxes(profiles.by_level, -1, -2))
-        seen = _stacked((weighted @ profiles.grey[..., None])[..., 0])
-        levels = np.linalg.solve(own + ridge, seen[..., None])[..., 0]
-        by_image = levels[..., LEVELS_SEEN].astype(np.float32)
-        residual = profiles.grey - (by_image[..., None, :] @ profiles.by_level)[..., 0, :]
-        spread = np.maximum(_ROBUST_SIGMA * noise, _ROBUST_SHARE * np.ptp(levels, axis=-1))
-        limit = spread.astype(np.float32)[..., None, None]
-        weights = profiles.weights / (1.0 + (residual / limit) ** 2) ** 2
-    return _Explained(residual, weights, limit, (by_image[..., None, :] @ profiles.slopes)[..., 0, :])
+    weights = profiles.weights if robust is None else profiles.weights * robust
+    samples = profiles.grey.shape[-1] // GROUPS
+    for _ in range(_LEVEL_PASSES if robust is None else 1):
+        weighted = profiles.by_level * weights
+        seen = _of_stretches((weighted * profiles.grey).sum(axis=-2))
+        levels = _solve(_level_products(weighted, profiles.by_level) + ridge, _stacked(seen)[:, None])[:, 0]
+        # of each sample: the three levels that an image shows, shape (3, 2, B, 1, N)
+        shown = levels[np.transpose(LEVELS_SEEN)].astype(np.float32)
+        shown = np.repeat(shown, samples, axis=-1)[..., None, :]
+        residual = profiles.grey - (shown * profiles.by_level).sum(axis=0)
+        spread = np.maximum(_ROBUST_SIGMA * noise, _ROBUST_SHARE * np.ptp(levels, axis=0))
+        limit = np.repeat(spread.astype(np.float32), samples, axis=-1)[:, None, :]
+        share = 1.0 / (1.0 + (residual / limit) ** 2) ** 2
+        weights = profiles.weights * share
+    return _Explained(residual, share, weights, limit, (shown * profiles.slopes).sum(axis=0))
 
 
 def _solved(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array]:
     """Return Gauss-Newton steps (B, 7) and unscaled covariances (B, 7, 7), the grey levels eliminated."""
-    faces, *_, parameters = profiles.by_parameter.shape
     # all values of a profile move together: sums over its offsets come first
+    moved = profiles.by_parameter
     sloped = explained.weights * explained.gradient
-    steepness = profiles.per_sample(sloped * explained.gradient)
-    pull = profiles.per_sample(sloped * explained.residual)
-    by_level = profiles.per_sample(profiles.by_level * sloped[..., None, :])
-    cross = _stacked(by_level @ profiles.by_parameter)
-    weighted = profiles.by_level * explained.weights[..., None, :]
-    own = _together(weighted @ np.swapaxes(profiles.by_level, -1, -2)) + _ridge(noise)
-    moved = profiles.by_parameter.reshape(faces, -1, parameters)
-    normal = np.swapaxes(moved * steepness.reshape(faces, -1, 1), -1, -2) @ moved
-    normal -= (np.swapaxes(cross, -1, -2) @ np.linalg.solve(own, cross)).sum(axis=1)
-    vector = (np.swapaxes(moved, -1, -2) @ pull.reshape(faces, -1, 1))[..., 0]
+    steepness = (sloped * explained.gradient).sum(axis=-2)
+    pull = (sloped * explained.residual).sum(axis=-2)
+    by_level = (profiles.by_level * sloped).sum(axis=-2)
+    # by level and parameter, of each stretch, shape (5, 7, B, G)
+    cross = np.moveaxis(_stacked(_of_stretches(by_level[..., None, :] * moved)), 1, 2)
+    own = _level_products(profiles.by_level * explained.weights, profiles.by_level) + _ridge(noise)
+    normal = ((moved * steepness[..., None, :]) @ np.swapaxes(moved, -1, -2)).sum(axis=0)
+    normal -= np.einsum("lpbg,lqbg->bpq", cross, _solve(own, cross), optimize=True)
+    vector = (moved @ pull[..., None])[..., 0].sum(axis=0)
     diagonal = np.einsum("bii->bi", normal)
     # what is held has no row: 1 on the diagonal keeps the inverse of the rest
     norm = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
@@ -196,38 +211,73 @@ def _solved(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Ar
     return np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS), covariances
 
 
+def _of_stretches(by_sample: Array | NDArray[np.float32]) -> Array:
+    """Return sums over the samples of each stretch: (..., N) becomes (..., G)."""
+    samples = by_sample.shape[-1] // GROUPS
+    return np.asarray(by_sample @ np.repeat(np.eye(GROUPS, dtype=by_sample.dtype), samples, axis=0))
+
+
 def _stacked(by_image: Array) -> Array:
-    """Return sums by the three levels that each image shows, shape (B, G, 2, 3, ...), by the five levels."""
-    stacked = np.zeros((*by_image.shape[:2], LEVELS, *by_image.shape[4:]))
+    """Return sums by the three levels that each image shows, shape (3, 2, ...), by the five levels, (5, ...)."""
+    stacked = np.zeros((LEVELS, *by_image.shape[2:]))
     for image, levels in enumerate(LEVELS_SEEN):
-        stacked[:, :, levels] += by_image[:, :, image]
+        stacked[list(levels)] += by_image[:, image]
     return stacked
 
 
-def _together(by_image: Array) -> Array:
-    """Return the normal matrices of both images, shape (B, G, 2, 3, 3), as those of the five levels."""
-    together = np.zeros((*by_image.shape[:2], LEVELS, LEVELS))
-    for image, levels in enumerate(LEVELS_SEEN):
-        rows, columns = np.ix_(levels, levels)
-        together[:, :, rows, columns] += by_image[:, :, image]
+def _level_products(weighted: NDArray[np.float32], by_level: NDArray[np.float32]) -> Array:
+    """Return the normal matrices of the five levels of each stretch, shape (5, 5, B, G)."""
+    together = np.zeros((LEVELS, LEVELS, weighted.shape[2], GROUPS))
+    pairs = [(one, other) for one in range(len(weighted)) for other in range(one + 1)]
+    products = _of_stretches(np.stack([(weighted[one] * by_level[other]).sum(axis=-2) for one, other in pairs]))
+    for (one, other), by_image in zip(pairs, products, strict=True):
+        for image, levels in enumerate(LEVELS_SEEN):
+            together[levels[one], levels[other]] += by_image[image]
+            if one != other:
+                together[levels[other], levels[one]] += by_image[image]
     return together
+
+
+def _solve(matrices: Array, right_sides: Array) -> Array:
+    """Solve many small positive definite systems at once: numpy's own solver takes a microsecond for each.
+
+    Args:
+        matrices: shape (K, K, ...); not kept.
+        right_sides: R of each, shape (K, R, ...).
+
+    Returns:
+        The solutions, shape (K, R, ...).
+    """
+    solved = right_sides.copy()
+    size = len(matrices)
+    for row in range(size):
+        pivot = matrices[row, row]
+        for below in range(row + 1, size):
+            factor = matrices[below, row] / pivot
+            matrices[below, row + 1 :] -= factor * matrices[row, row + 1 :]
+            solved[below] -= factor * solved[row]
+    for row in reversed(range(size)):
+        for beyond in range(row + 1, size):
+            solved[row] -= matrices[row, beyond] * solved[beyond]
+        solved[row] /= matrices[row, row]
+    return solved
 
 
 def _ridge(noise: float) -> Array:
     ridge: Array = _TIE * (noise / _SIDE_SIGMA) ** 2 + np.eye(LEVELS) * _LEAST_RIDGE
-    return ridge
+    return ridge[..., None, None]
 
 
 def _judged(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array, Array]:
     """Return the misfit as a displacement, the seen share of the outline, the variance over the noise's; each (B,)."""
-    size = profiles.per_sample(profiles.weights)
-    squares = profiles.per_sample(profiles.weights * explained.residual**2)
-    steepness = profiles.per_sample(profiles.weights * explained.gradient**2)
-    usual = np.median(steepness.reshape(len(size), -1), axis=1)[:, None, None, None]
+    size = profiles.weights.sum(axis=-2)
+    squares = (profiles.weights * explained.residual**2).sum(axis=-2)
+    steepness = (profiles.weights * explained.gradient**2).sum(axis=-2)
+    usual = np.median(np.swapaxes(steepness, 0, 1).reshape(size.shape[1], -1), axis=1)[:, None]
     unexplained = np.maximum(squares - size * noise**2, 0.0)
     displaced2 = unexplained / np.maximum(np.maximum(steepness, _FAINT_SHARE * usual), _TINY)
-    total = np.maximum(size.sum(axis=(1, 2, 3)), _TINY)
-    rms_px = np.sqrt((size * np.minimum(displaced2, _LOST_PX**2)).sum(axis=(1, 2, 3)) / total)
-    seen = np.sqrt(steepness.sum(axis=-1)) > _SEEN_SIGMA * noise
+    total = np.maximum(size.sum(axis=(0, 2)), _TINY)
+    rms_px = np.sqrt((size * np.minimum(displaced2, _LOST_PX**2)).sum(axis=(0, 2)) / total)
+    seen = np.sqrt(_of_stretches(steepness)) > _SEEN_SIGMA * noise
     excess = np.maximum(1.0, explained.energy(profiles) / (total * noise**2))
-    return rms_px, seen.mean(axis=1).min(axis=1), excess
+    return rms_px, seen.mean(axis=2).min(axis=0), excess

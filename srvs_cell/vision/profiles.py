@@ -14,13 +14,11 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from srvs_cell.vision.outlines import outward_normals
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
-    from srvs_cell.vision.outlines import Outlines
+    from srvs_cell.vision.outlines import Borders, Outlines
     from srvs_cell.vision.rectification import RectifiedRig
 
 GROUPS = 12
@@ -28,7 +26,7 @@ GROUPS = 12
 LEVELS = 5
 """Levels of a stretch: face and background in the left image, the same in the right one, side face in both."""
 USUAL_BLUR_PX = 0.85
-_OFFSETS_PX = np.arange(-4.0, 3.5, 1.0)
+_OFFSETS_PX = np.arange(-4.0, 3.5, 1.0, dtype=np.float32)
 """Where a profile is read, outwards from the border. Farther out the edge of a shadow would often be met."""
 _SEEN = 3
 LEVELS_SEEN = ((0, 1, 4), (2, 3, 4))
@@ -65,17 +63,18 @@ class Pictures:
 
 @dataclass(frozen=True, eq=False)
 class Profiles:
-    """The profiles of B faces: G stretches of M values in each of both images, by sample and offset.
+    """The profiles of B faces: T grey values across the outline at each of N samples in both images.
 
-    Each image shows three grey levels of a stretch, `LEVELS_SEEN`. Values are float32: twice as many pass at a time.
+    The samples are G stretches of as many each. Each image shows three grey levels of a stretch, `LEVELS_SEEN`. Values
+    are float32: twice as many pass at a time.
 
     Attributes:
-        grey: what was seen, shape (B, G, 2, M).
-        weights: 0 outside of the image; less than 1 where samples lie closer than a pixel, shape (B, G, 2, M).
-        by_level: what the model expects, by each of the three grey levels, shape (B, G, 2, 3, M).
+        grey: what was seen, shape (2, B, T, N).
+        weights: 0 outside of the image; less than 1 where samples lie closer than a pixel, shape (2, B, T, N).
+        by_level: what the model expects, by each of the three grey levels, shape (3, 2, B, T, N).
         slopes: how that changes with the border's place, grey values per pixel outwards, the same shape.
-        by_parameter: how far the border at each of S samples moves outwards with the face's seven parameters, pixels,
-            shape (B, G, 2, S, 7).
+        by_parameter: how far the border at each sample moves outwards with the face's seven parameters, pixels, shape
+            (2, B, 7, N).
     """
 
     grey: NDArray[np.float32]
@@ -84,98 +83,49 @@ class Profiles:
     slopes: NDArray[np.float32]
     by_parameter: Array
 
-    def per_sample(self, values: NDArray[np.float32]) -> Array:
-        """Return values of shape (..., M) summed over the offsets of each profile, shape (..., S)."""
-        samples = self.by_parameter.shape[3]
-        return np.asarray(values.reshape(*values.shape[:-1], samples, -1).sum(axis=-1), dtype=np.float64)
-
 
 def read_profiles(
-    outlines: Outlines, pictures: Pictures, rig: RectifiedRig, table_z_mm: float, blur_px: float
+    outlines: Outlines, borders: Borders, pictures: Pictures, rig: RectifiedRig, table_z_mm: float, blur_px: float
 ) -> Profiles:
     """Read the profiles of faces in both images and predict them.
 
     Args:
         outlines: the faces, with a multiple of twelve samples each and as many on each side.
+        borders: the same as the cameras see them; all in front.
         pictures: the rectified images.
         rig: the rectified cameras.
         table_z_mm: height of the table, base frame: there the side faces end.
         blur_px: width of the model's borders, one standard deviation.
     """
-    faces, samples = outlines.unit.shape[:2]
-    per_group = samples // GROUPS
-    shape = (faces, GROUPS, 2, per_group * _OFFSETS_PX.size)
-    profiles = Profiles(
-        np.empty(shape, dtype=np.float32),
-        np.empty(shape, dtype=np.float32),
-        np.empty((*shape[:3], _SEEN, shape[3]), dtype=np.float32),
-        np.empty((*shape[:3], _SEEN, shape[3]), dtype=np.float32),
-        np.empty((*shape[:3], per_group, outlines.values.shape[1])),
+    x, y, normal_x, normal_y = (
+        part.astype(np.float32)[:, :, None, :]
+        for part in (borders.x_px, borders.y_px, borders.normal_x, borders.normal_y)
     )
-    stretch = (faces, GROUPS, shape[3])
-    for number, shift_mm in enumerate((0.0, rig.baseline_mm)):
-        one = _read_one(outlines, pictures.images[number], shift_mm, rig, table_z_mm, blur_px)
-        profiles.grey[:, :, number] = one.grey.reshape(stretch)
-        profiles.weights[:, :, number] = one.weights.reshape(stretch)
-        for part in range(_SEEN):
-            profiles.by_level[:, :, number, part] = one.parts[part].reshape(stretch)
-            profiles.slopes[:, :, number, part] = one.slopes[part].reshape(stretch)
-        profiles.by_parameter[:, :, number] = one.moved.reshape(faces, GROUPS, per_group, -1)
-    return profiles
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """The profiles in one image, shape (B, N, T); ``parts`` and ``slopes`` by face, background and side face."""
-
-    grey: NDArray[np.float32]
-    weights: NDArray[np.float32]
-    parts: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-    slopes: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-    moved: Array
-
-
-def _read_one(
-    outlines: Outlines,
-    image: NDArray[np.float32],
-    shift_mm: float,
-    rig: RectifiedRig,
-    table_z_mm: float,
-    blur_px: float,
-) -> _Seen:
-    points_mm = outlines.points_mm()
-    feet_mm = points_mm * (1.0, 1.0, 0.0) + (0.0, 0.0, table_z_mm)
-    seen = rig.camera_T_base.apply(points_mm) - (shift_mm, 0.0, 0.0)
-    pixels = _pixels(seen, rig)
-    along = rig.camera_T_base.rotate(outlines.directions_mm())
-    normals = outward_normals(along[..., :2] - seen[..., :2] / seen[..., 2:] * along[..., 2:], pixels)
+    offsets = _OFFSETS_PX[:, None]
+    places_x, places_y = x + normal_x * offsets, y + normal_y * offsets
+    height, width = pictures.images[0].shape
+    grey = np.empty(places_x.shape, dtype=np.float32)
+    flat = (places_x.shape[1], -1)
+    for eye, image in enumerate(pictures.images):
+        read = cv2.remap(
+            image,
+            places_x[eye].reshape(flat),
+            places_y[eye].reshape(flat),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        grey[eye] = read.reshape(grey[eye].shape)
+    inside = (places_x >= 0.0) & (places_x <= width - 1.0) & (places_y >= 0.0) & (places_y <= height - 1.0)
+    spacing_px = np.median(np.hypot(np.diff(x), np.diff(y)), axis=-1, keepdims=True)
     # as much of the side face shows as its foot lies outside of the face
-    feet = _pixels(rig.camera_T_base.apply(feet_mm) - (shift_mm, 0.0, 0.0), rig)
-    side_px = np.maximum(((feet - pixels) * normals).sum(axis=-1), 0.0)
-    x, y = ((pixels[..., axis, None] + normals[..., axis, None] * _OFFSETS_PX).astype(np.float32) for axis in (0, 1))
-    flat = (len(x), -1)
-    read = cv2.remap(
-        image, x.reshape(flat), y.reshape(flat), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    ).reshape(x.shape)
-    inside = (x >= 0.0) & (x <= image.shape[1] - 1.0) & (y >= 0.0) & (y <= image.shape[0] - 1.0)
-    spacing_px = np.median(np.linalg.norm(np.roll(pixels, -1, axis=1) - pixels, axis=-1), axis=1)
-    border = (_OFFSETS_PX / blur_px).astype(np.float32)
-    end = ((_OFFSETS_PX - side_px[..., None]) / blur_px).astype(np.float32)
-    beyond_border, beyond_end = np.broadcast_to(ndtr(border), read.shape), ndtr(end)
+    feet_x, feet_y = outlines.feet_px(rig, table_z_mm)
+    out_px = (feet_x - borders.x_px) * borders.normal_x + (feet_y - borders.y_px) * borders.normal_y
+    side_px = np.maximum(out_px, 0.0).astype(np.float32)[:, :, None, :]
+    border, end = offsets / np.float32(blur_px), (offsets - side_px) / np.float32(blur_px)
+    beyond_border, beyond_end = ndtr(border), ndtr(end)
     peak = np.float32(_PEAK / blur_px)
-    peak_border, peak_end = np.broadcast_to(np.exp(-0.5 * border**2) * peak, read.shape), np.exp(-0.5 * end**2) * peak
-    covectors = np.concatenate(
-        [normals, -(normals * seen[..., :2]).sum(axis=-1, keepdims=True) / seen[..., 2:]], axis=-1
-    ) * (rig.f_px / seen[..., 2:])
-    return _Seen(
-        np.asarray(read, dtype=np.float32),
-        inside * np.minimum(spacing_px, 1.0).astype(np.float32)[:, None, None],
-        (1.0 - beyond_border, beyond_end, beyond_border - beyond_end),
-        (peak_border, -peak_end, peak_end - peak_border),
-        outlines.change(covectors @ rig.camera_T_base.rotation),
-    )
-
-
-def _pixels(points_mm: Array, rig: RectifiedRig) -> Array:
-    pixels: Array = points_mm[..., :2] * (rig.f_px / points_mm[..., 2:]) + (rig.cx_px, rig.cy_px)
-    return pixels
+    peak_border, peak_end = peak * np.exp(-0.5 * border**2), peak * np.exp(-0.5 * end**2)
+    by_level, slopes = (np.empty((_SEEN, *grey.shape), dtype=np.float32) for _ in range(2))
+    by_level[0], by_level[1], by_level[2] = 1.0 - beyond_border, beyond_end, beyond_border - beyond_end
+    slopes[0], slopes[1], slopes[2] = peak_border, -peak_end, peak_end - peak_border
+    return Profiles(grey, inside * np.minimum(spacing_px, np.float32(1.0)), by_level, slopes, borders.by_parameter)

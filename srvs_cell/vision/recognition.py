@@ -29,7 +29,7 @@ from srvs_cell.vision.recovery import (
     stable_regions,
     unmatched_planes,
 )
-from srvs_cell.vision.tops import Top, add_tops, explainer, one_per_place, outline_px, share_out
+from srvs_cell.vision.tops import Top, add_tops, explained_polygons, explainer, one_per_place, outline_px, share_out
 from srvs_cell.vision.verification import verify_tops
 from srvs_cell.vision.workpieces import make_workpiece, measure_face, unrecognised
 
@@ -123,7 +123,8 @@ def recognise(
         tops, unseen = verify_tops(tops, relief, images, fields, rig, table_z_mm, limits)
     tops, others = share_out(matched, tops, rig, table_z_mm)
     unknown = [surface for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
-    unknown += _placed(rising_regions(unseen, left.grey.shape), images, rig, table_z_mm, limits)
+    explained = explained_polygons(tops, rig, table_z_mm)
+    unknown += _placed(rising_regions(unseen, explained, left.grey.shape), images, rig, table_z_mm, limits)
     faces = [measure_face(top, rig, reference) for top in tops]
     workpieces = [
         make_workpiece(group, faces, table_z_mm, limits.grasp)

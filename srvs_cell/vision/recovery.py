@@ -33,6 +33,9 @@ NO_PLANE = 0
 _BAND_PX = 3
 _MAX_PIXELS = 1500
 _MIN_CORRELATION = 0.7
+_USUAL_SHARE = 0.5
+"""Share of the contrast of a region and what is around it by which grey values usually go beyond both."""
+_USUAL_LEAST = 10.0
 _MIN_VARIANCE = 1e-6
 _MARGIN_PX = 3.0
 _SIGMA_PX = 0.5
@@ -133,9 +136,18 @@ def stable_regions(grey: NDArray[np.uint8], known: Callable[[NDArray[np.float32]
     return regions
 
 
-def rising_regions(outlines: Iterable[Array], shape: tuple[int, ...]) -> list[Region]:
-    """Return regions inside convex outlines in an image of a shape (height, width)."""
+def rising_regions(outlines: Iterable[Array], explained: Iterable[Array], shape: tuple[int, ...]) -> list[Region]:
+    """Return regions inside convex outlines in an image of a shape (height, width), without what is explained.
+
+    Args:
+        outlines: in the image, each of shape (N, 2).
+        explained: polygons in the image that belong to known parts.
+        shape: of the image.
+    """
     height, width = shape[:2]
+    others = np.zeros((height, width), dtype=np.uint8)
+    for polygon in explained:
+        cv2.fillPoly(others, [np.rint(polygon).astype(np.int32)], 1)
     regions = []
     for outline in outlines:
         corners = np.rint(outline).astype(np.int32)
@@ -143,7 +155,9 @@ def rising_regions(outlines: Iterable[Array], shape: tuple[int, ...]) -> list[Re
         right, bottom = np.minimum(corners.max(axis=0), (width - 1, height - 1))
         mask = np.zeros((bottom - top + 1, right - left + 1), dtype=np.uint8)
         cv2.fillConvexPoly(mask, corners - (left, top), 1)
-        regions.append(Region(NO_PLANE, mask.astype(np.bool_), (int(left), int(top))))
+        own = (mask > 0) & (others[top : bottom + 1, left : right + 1] == 0)
+        if own.any():
+            regions.append(Region(NO_PLANE, own, (int(left), int(top))))
     return regions
 
 
@@ -226,15 +240,17 @@ def _best_disparity(
     region: Region, grey_left: Array, grey_right: Array, span_px: tuple[float, float]
 ) -> tuple[float, float] | None:
     """Return the disparity at which the region's grey values correlate best, and the correlation."""
-    rows, columns = _pixels(region, grey_left.shape)
+    rows, columns, band = _pixels(region, grey_left.shape)
     disparities = np.arange(int(np.floor(span_px[0])), int(np.ceil(span_px[1])) + 1)
     if columns.size == 0 or disparities.size < 3:  # noqa: PLR2004 - a maximum has two neighbours
         return None
     template = grey_left[rows, columns]
+    usual = _usual_greys(template, band)
+    template = np.clip(template, *usual)
     template = template - template.mean()
     moved = columns[None, :] - disparities[:, None]
     inside = (moved >= 0).all(axis=1) & (moved < grey_right.shape[1]).all(axis=1)
-    values = grey_right[rows[None, :], np.clip(moved, 0, grey_right.shape[1] - 1)]
+    values = np.clip(grey_right[rows[None, :], np.clip(moved, 0, grey_right.shape[1] - 1)], *usual)
     values = values - values.mean(axis=1, keepdims=True)
     power = np.maximum((values**2).mean(axis=1) * (template**2).mean(), _MIN_VARIANCE)
     correlation = np.where(inside, (values * template).mean(axis=1) / np.sqrt(power), -1.0)
@@ -247,13 +263,24 @@ def _best_disparity(
     return float(disparities[best]) + float(np.clip(shift, -0.5, 0.5)), at
 
 
-def _pixels(region: Region, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns of a region with a band around it, thinned to a bounded number."""
+def _usual_greys(values: Array, band: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the least and greatest grey value that a region and the band around it usually have.
+
+    What is beyond is another part's, which stands before or beside the region and is at another height.
+    """
+    inside, around = (float(np.median(values[which])) if which.any() else 0.0 for which in (~band, band))
+    margin = max(_USUAL_SHARE * abs(inside - around), _USUAL_LEAST)
+    return min(inside, around) - margin, max(inside, around) + margin
+
+
+def _pixels(region: Region, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+    """Return rows and columns of a region with a band around it, thinned, and which of them are the band's."""
     size = 2 * _BAND_PX + 1
     grown = cv2.dilate(np.pad(region.mask, _BAND_PX).astype(np.uint8), np.ones((size, size), np.uint8))
     rows, columns = np.nonzero(grown)
     step = max(1, rows.size // _MAX_PIXELS)
-    rows = rows[::step] + region.corner_px[1] - _BAND_PX
-    columns = columns[::step] + region.corner_px[0] - _BAND_PX
+    rows, columns = rows[::step], columns[::step]
+    band = ~np.pad(region.mask, _BAND_PX)[rows, columns]
+    rows, columns = rows + region.corner_px[1] - _BAND_PX, columns + region.corner_px[0] - _BAND_PX
     seen = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
-    return rows[seen], columns[seen]
+    return rows[seen], columns[seen], band[seen]

@@ -315,10 +315,11 @@ def _hexagon_angle(hull: Array) -> float:
 
 
 def is_top(fit: FaceFit, table_z_mm: float, limits: RecognitionParameters) -> bool:
-    """Whether a fitted face may be a part's top."""
+    """Whether a fitted face may be a part's top; one that is next to level is none, for it is fitted as level."""
     face = fit.face
     return (
-        fit.rms_px <= limits.max_rms_px
+        (face.slope_u == 0.0 or limits.min_inclination_deg <= face.inclination_deg <= limits.max_inclination_deg)
+        and fit.rms_px <= limits.max_rms_px
         and fit.support >= limits.min_support
         and limits.min_size_mm <= min(face.length_mm, face.width_mm)
         and max(face.length_mm, face.width_mm) <= limits.max_size_mm

@@ -104,11 +104,12 @@ def _rising_tops(
     rising = fit_rising(outlines, left, bench.pictures, bench.rig, heights_mm, bench.table_z_mm, bench.possible)
     by_edges = bench.by_edges([fit.face for fit in rising])
     # part of a face may explain the grey values along itself, but it has no edges of its own
-    found = [
-        Witnesses(edges, fit)
+    there = [
+        (edges, fit)
         for fit, edges in zip(rising, by_edges, strict=True)
         if edges is not None and edges.rms_px <= limits.max_rms_px
     ]
+    found = bench.together([edges for edges, _ in there], [fit for _, fit in there])
     places: list[list[Witnesses]] = []
     for both in sorted(bench.settled(found), key=lambda both: both.misfit_px2):
         place = next((one for one in places if share_place(both.agreed(), one[0].agreed())), None)

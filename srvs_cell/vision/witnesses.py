@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srvs_cell.vision.face_fit import SETTLE, fit_faces
+from srvs_cell.vision.inner_texture import inner_displacements
 from srvs_cell.vision.other_sides import other_rectangles
 from srvs_cell.vision.profile_fit import fit_profiles
 
@@ -35,6 +36,8 @@ _DOUBTFUL_PX2 = 0.08
 """A rectangle whose misfit is less is not asked what else it may be."""
 _CLEAR_GAIN = 0.7
 """Another rectangle must have less than this share of the misfit."""
+_SLACK_PX = 0.05
+"""By this much more a fit may miss by chance."""
 _RIVALRY = 4
 """With this power of the ratio of their misfits a figure that suits worse counts."""
 _ROUNDS = 2
@@ -47,22 +50,24 @@ class Witnesses:
     Attributes:
         by_edges: fitted to the edges.
         by_profiles: fitted to the grey values across the outline.
+        inner_px2: by how much the inside is displaced between the pictures, mean square, if the face is as by_profiles.
     """
 
     by_edges: FaceFit
     by_profiles: FaceFit
+    inner_px2: float
 
     @property
     def misfit_px2(self) -> float:
-        """How badly the figure suits both, to compare figures at one place."""
-        return self.by_edges.rms_px**2 + self.by_profiles.rms_px**2
+        """How badly the figure suits border and inside, to compare figures at one place."""
+        return self.by_edges.rms_px**2 + self.by_profiles.rms_px**2 + self.inner_px2
 
     def suits_better(self, other: Witnesses, gain: float) -> bool:
         """Whether the misfit is less than a share of another figure's, and neither witness speaks against it."""
         return (
             self.misfit_px2 < gain * other.misfit_px2
-            and self.by_edges.rms_px <= other.by_edges.rms_px
-            and self.by_profiles.rms_px <= other.by_profiles.rms_px
+            and self.by_edges.rms_px <= other.by_edges.rms_px + _SLACK_PX
+            and self.by_profiles.rms_px <= other.by_profiles.rms_px + _SLACK_PX
         )
 
     def agreed(self) -> FaceFit:
@@ -114,14 +119,37 @@ class Bench:
     possible: Callable[[FaceFit], bool]
 
     def by_profiles(self, fits: Sequence[FaceFit]) -> list[Witnesses | None]:
-        """Fit faces that were fitted to the edges to the grey values; None where there is no possible fit."""
+        """Fit faces that were fitted to the edges to the grey values; None where there is no possible fit.
+
+        One that comes out next to level is fitted to both as level.
+        """
+        seen = self._witnesses(fits)
+        slanted = [number for number, fit in enumerate(fits) if seen[number] is None and fit.face.slope_u != 0.0]
+        level = self.by_edges([replace(fits[number].face, slope_u=0.0) for number in slanted])
+        there = [(number, fit) for number, fit in zip(slanted, level, strict=True) if fit is not None]
+        for (number, _), both in zip(there, self._witnesses([fit for _, fit in there]), strict=True):
+            seen[number] = both
+        return seen
+
+    def _witnesses(self, fits: Sequence[FaceFit]) -> list[Witnesses | None]:
         faces = [fit.face for fit in fits]
         inclined = [face.slope_u != 0.0 for face in faces]
         seen = fit_profiles(faces, inclined, self.pictures, self.rig, self.table_z_mm)
-        return [
-            Witnesses(edges, profiles) if profiles is not None and self.possible(profiles) else None
-            for edges, profiles in zip(fits, seen, strict=True)
-        ]
+        there = [(number, fit) for number, fit in enumerate(seen) if fit is not None and self.possible(fit)]
+        witnesses: list[Witnesses | None] = [None] * len(fits)
+        for number, both in zip(
+            (number for number, _ in there),
+            self.together([fits[number] for number, _ in there], [fit for _, fit in there]),
+            strict=True,
+        ):
+            witnesses[number] = both
+        return witnesses
+
+    def together(self, by_edges: Sequence[FaceFit], by_profiles: Sequence[FaceFit]) -> list[Witnesses]:
+        """Return faces as both fits see them, with what their insides say."""
+        faces = [fit.face for fit in by_profiles]
+        inner = inner_displacements(faces, self.fields, self.rig, self.pictures.noise)
+        return [Witnesses(*each) for each in zip(by_edges, by_profiles, inner, strict=True)]
 
     def by_edges(self, faces: Sequence[Face]) -> list[FaceFit | None]:
         """Fit faces to the edges; None where they have none."""
@@ -129,7 +157,7 @@ class Bench:
         return fit_faces(faces, inclined, self.fields, self.rig, SETTLE, self.min_gradient)
 
     def settled(self, known: Sequence[Witnesses]) -> list[Witnesses]:
-        """Return faces as they are, or as a rectangle with other sides that suits the pictures clearly better."""
+        """Return faces as they are, or as another rectangle that suits the pictures clearly better."""
         best = list(known)
         changed = set(range(len(best)))
         for _ in range(_ROUNDS):

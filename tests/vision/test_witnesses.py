@@ -19,8 +19,8 @@ def fit(z_mm: float, rms_px: float = 0.2, slope_u: float = 0.0) -> FaceFit:
     return FaceFit(face, VARIANCE_MM2 * np.eye(3), rms_px, 1.0)
 
 
-def both(z_mm: float, rms_px: float = 0.2) -> Witnesses:
-    return Witnesses(fit(z_mm, rms_px), fit(z_mm, rms_px))
+def both(z_mm: float, rms_px: float = 0.2, inner_px2: float = 0.0) -> Witnesses:
+    return Witnesses(fit(z_mm, rms_px), fit(z_mm, rms_px), inner_px2)
 
 
 def test_fits_that_agree_leave_their_own_doubt() -> None:
@@ -39,6 +39,25 @@ def test_a_rival_that_suits_much_worse_counts_for_nothing() -> None:
     assert agreed.covariance_mm2[2, 2] == pytest.approx(VARIANCE_MM2, abs=1e-3)
 
 
+def test_a_rival_whose_inside_is_displaced_counts_less() -> None:
+    doubted = both(30.0).agreed_among([both(40.0, inner_px2=0.08)])
+    assert doubted.covariance_mm2[2, 2] < VARIANCE_MM2 + 0.1 * 100.0
+
+
+def test_a_figure_must_suit_clearly_better_and_no_fit_may_speak_against_it() -> None:
+    level = both(30.0, 0.4, inner_px2=0.2)
+    assert both(31.0, 0.4).suits_better(level, 0.7)
+    assert not both(31.0, 0.4, inner_px2=0.15).suits_better(level, 0.7)
+    against = Witnesses(fit(31.0, 0.1), fit(31.0, 0.48), 0.0)
+    assert against.misfit_px2 < 0.7 * level.misfit_px2
+    assert not against.suits_better(level, 0.7)
+
+
 @pytest.mark.parametrize(("slope_u", "possible"), [(0.5, True), (0.8, False)])
 def test_no_face_reaches_into_the_table(slope_u: float, possible: bool) -> None:
     assert is_top(fit(12.0, slope_u=slope_u), 0.0, RecognitionParameters()) is possible
+
+
+@pytest.mark.parametrize(("slope_u", "possible"), [(0.0, True), (0.05, False), (0.1, True)])
+def test_a_face_next_to_level_is_to_be_fitted_as_level(slope_u: float, possible: bool) -> None:
+    assert is_top(fit(40.0, slope_u=slope_u), 0.0, RecognitionParameters()) is possible
