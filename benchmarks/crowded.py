@@ -1,11 +1,12 @@
 """Crowded tables in the simulated cell: every plan is carried out without touching anything else, or refused before.
 
-    python benchmarks/crowded.py [--scenes 100] [--first 0] [--verbose]
+    python benchmarks/crowded.py [--scenes 100] [--first 0] [--verbose] [--plan-only]
 
 The real unit with its steps, planner, validator and journal drives the simulated arm and gripper in MuJoCo; only the
 wires and the eyes are left out: the unit is told the true poses. Each scene has 5 to 10 parts at random places a few
 millimetres apart; some are said to be of unknown shape. At every step of the physics the contacts are looked at: hand
-against any part but the one it stands above, and any part against any other.
+against any part but the one it stands above, and any part against any other. With ``--plan-only``
+nothing is carried out: what the planner says, and how much of it is proven.
 """
 
 from __future__ import annotations
@@ -34,23 +35,24 @@ from drivers.sim.parts import CUBOID, CYLINDER, KINDS, PRISM
 from drivers.sim.scenario import ScenarioParameters, _shape
 from drivers.sim.simulation import OBSERVE_POSE, TABLE_CENTRE_MM
 from drivers.sim.world import World
-from srvs_cell.alarms import Alarm
+from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import Calibration, CameraIntrinsics, HandEye
 from srvs_cell.cell import Command, Devices, Equipment, Journal, RunRecorder, Unit
 from srvs_cell.config import parse_config
 from srvs_cell.config.embedded import embedded_config
 from srvs_cell.geometry import Transform
-from srvs_cell.planning import Workspace, plan_relocation
+from srvs_cell.planning import Workspace, has_plan, plan_relocation
 from srvs_cell.planning.clearance import convex_hull, too_close
 from srvs_cell.planning.problem import Polygon
 from srvs_cell.ports import CommandRejectedError, DeviceFaultError, GripState
-from srvs_cell.scene import UNKNOWN_KIND, Grasp, Perception, PlaneImage, Workpiece
+from srvs_cell.scene import UNKNOWN_KIND, Grasp, Perception, PlaneImage, PlanStatus, Workpiece
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from drivers.sim.parts import Part
     from srvs_cell.cell import StereoLook
+    from srvs_cell.config import CellConfig
     from srvs_cell.geometry import Xyzwpr
     from srvs_cell.planning import CellPlan, KeptPlaces
 
@@ -68,6 +70,8 @@ LOOK_EVERY = 3
 
 BETWEEN_FINGERS_MM = 8.0
 DISTURBED_MM = 1.0
+AS_WANTED = {"carried out", "refused", "planned, proven", "planned, moves proven", "planned"}
+REFUSALS = {"PLAN_INFEASIBLE", "NO_BUFFER_PLACE", "UNCERTAIN_POSITION"}
 RIGHT_MM = 5.0
 
 
@@ -77,12 +81,13 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--verbose", action="store_true")
+    parser.add_argument("--plan-only", action="store_true")
     arguments = parser.parse_args()
     results = []
     for seed in range(arguments.first, arguments.first + arguments.scenes):
-        result = run_scene(seed)
+        result = run_scene(seed, plan_only=arguments.plan_only)
         results.append(result)
-        if arguments.verbose or result.contacts or result.how not in {"carried out", "refused"}:
+        if arguments.verbose or result.contacts or result.how not in AS_WANTED:
             print(f"seed {seed}: {result.parts} parts, {result.how}, {result.moves} moves, {result.said}", flush=True)
             for contact, count in result.contacts.items():
                 print(f"    {contact}: {count} steps", flush=True)
@@ -90,7 +95,7 @@ def main() -> None:
     reasons = Counter(result.alarm for result in results if result.how == "refused")
     print(f"{len(results)} scenes, {sum(result.parts for result in results)} parts: {dict(how)}")
     print(f"refused with: {dict(reasons)}")
-    print(f"moves carried out: {sum(result.moves for result in results)}")
+    print(f"moves: {sum(result.moves for result in results)}")
     print(f"scenes with a contact: {sum(bool(result.contacts) for result in results)}")
 
 
@@ -273,8 +278,8 @@ def _grasp(part: Part, yaw_deg: float, point_mm: tuple[float, float], table_z_mm
     return replace(first, others=tuple(further)), ""
 
 
-def run_scene(seed: int) -> Result:
-    """Plan and carry out one scene."""
+def run_scene(seed: int, *, plan_only: bool) -> Result:
+    """Plan one scene and carry it out."""
     random = np.random.default_rng([seed, 77])
     parts = crowded_parts(random)
     unknown = (random.random(len(parts)) < UNKNOWN_SHARE).tolist()
@@ -292,17 +297,39 @@ def run_scene(seed: int) -> Result:
     physics = Physics(world, arm)
     for _ in range(SETTLE_STEPS):
         physics.step()
-    with tempfile.TemporaryDirectory(prefix="srvs-") as folder:
-        return asyncio.run(_run(physics, unknown, Path(folder)))
-
-
-async def _run(physics: Physics, unknown: Sequence[bool], folder: Path) -> Result:
     config = parse_config(embedded_config(), "embedded")
     # Perfect eyes need no second look; that the cell looks after each move changes nothing but the time.
     look = replace(config.cell.look, agreeing_looks=1, verify="each_plan")
-    cell = replace(config.cell, look=look, unmovable_parts="leave")
-    box = cell.workspace
-    workspace = Workspace(box.x_mm[0], box.x_mm[1], box.y_mm[0], box.y_mm[1])
+    config = replace(config, cell=replace(config.cell, look=look, unmovable_parts="leave"))
+    if plan_only:
+        return _planned(config, true_workpieces(world, unknown))
+    with tempfile.TemporaryDirectory(prefix="srvs-") as folder:
+        return asyncio.run(_run(config, physics, unknown, Path(folder)))
+
+
+def _plan(config: CellConfig, workpieces: Sequence[Workpiece], kept: KeptPlaces | None = None) -> CellPlan:
+    box = config.cell.workspace
+    workspace = Workspace(*box.x_mm, *box.y_mm)
+    return plan_relocation(workpieces, config.planning, workspace, hand=config.cell.hand(), kept=kept)
+
+
+def _planned(config: CellConfig, workpieces: Sequence[Workpiece]) -> Result:
+    """Say what the planner makes of a scene."""
+    try:
+        made = _plan(config, workpieces)
+    except AlarmError as error:
+        if error.alarm.name not in REFUSALS:
+            raise
+        return Result(len(workpieces), "refused", error.alarm.name, error.detail, 0, Counter())
+    answer = made.relocation
+    if not has_plan(answer):
+        how = "refused" if answer.status is PlanStatus.INFEASIBLE else "search ended at its cap"
+        return Result(len(workpieces), how, "PLAN_INFEASIBLE", "; ".join(answer.reasons), 0, Counter())
+    proven = ", proven" if answer.travel_proven else ", moves proven" if answer.moves_proven else ""
+    return Result(len(workpieces), f"planned{proven}", "", "", len(made.moves), Counter())
+
+
+async def _run(config: CellConfig, physics: Physics, unknown: Sequence[bool], folder: Path) -> Result:
     clock = StepClock()
     arm = PhysicsArm(clock, physics)
     journal = Journal(folder / "journal.sqlite")
@@ -314,11 +341,11 @@ async def _run(physics: Physics, unknown: Sequence[bool], folder: Path) -> Resul
         return Perception(image, image, (), nothing, (), true_workpieces(physics.world, unknown), {})
 
     def plan(workpieces: Sequence[Workpiece], kept: KeptPlaces | None) -> CellPlan:
-        plans.append(plan_relocation(workpieces, config.planning, workspace, hand=cell.hand(), kept=kept))
+        plans.append(_plan(config, workpieces, kept))
         return plans[-1]
 
     equipment = Equipment(
-        parameters=cell,
+        parameters=config.cell,
         devices=Devices(clock, FakeCamera(clock, (WIDTH_PX, HEIGHT_PX)), arm, PhysicsGripper(clock, physics, arm)),
         journal=journal,
         recorder=RunRecorder(folder),
@@ -375,7 +402,7 @@ def _judge(physics: Physics, snapshot: dict[str, Any], end: str, plans: list[Cel
         wrong = _wrong(physics.world, plans[0])
         if wrong:
             how, said = "carried out wrongly", wrong
-    elif end == "Held" and moves == 0 and alarm in {"PLAN_INFEASIBLE", "NO_BUFFER_PLACE", "UNCERTAIN_POSITION"}:
+    elif end == "Held" and moves == 0 and alarm in REFUSALS:
         how = "refused"
     return Result(len(physics.world.parts), how, alarm, said, moves, physics.contacts)
 

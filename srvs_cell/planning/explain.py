@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
-from srvs_cell.planning.ample_room import MOST_WITH_ROOM, clear_places, fewest_with_room
 from srvs_cell.planning.clearance import conflict_table, outer_radius_mm
-from srvs_cell.planning.goals import goal_is_possible, goal_rule
-from srvs_cell.planning.moves import after, fewest_moves
+from srvs_cell.planning.culprits import is_possible
+from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.moves import after
 from srvs_cell.planning.problem import RankGoal
 from srvs_cell.scene import Move, Place, PlaceKind, PlanStatus
 
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
     from srvs_cell.planning.problem import Problem
     from srvs_cell.scene import RelocationPlan
 
-_MOST_MOVES_TRIED = 20_000
-"""Moves that are tried for each change: help should be cheap."""
+_MOST_PAIRS = 60
+"""Pairs of changes that are tried where no single one helps; help should be cheap."""
+_MOST_HELPFUL_PAIRS = 3
 
 _A_PAIR = 2
 
@@ -39,7 +41,7 @@ def explain(problem: Problem, answer: RelocationPlan) -> tuple[str, ...]:
     if answer.status is PlanStatus.INFEASIBLE:
         helpful = what_would_help(problem)
         lines = [f"it would help: {change}" for change in helpful]
-        return tuple(lines or ["no single change that was tried makes it solvable"])
+        return tuple(lines or ["no change that was tried, and no two of them, make it solvable"])
     if not answer.moves and not answer.moves_proven and answer.status is PlanStatus.NOT_PROVEN:
         return ()
     return (_count(problem, answer), *_objects(problem, answer))
@@ -103,29 +105,26 @@ def _why_not_at_once(
 
 
 def what_would_help(problem: Problem) -> tuple[str, ...]:
-    """Return single changes, each of which makes an infeasible problem solvable.
+    """Return single changes, each of which makes an infeasible problem solvable; a few pairs where none does.
 
     Tried are one more buffer place; each place that is out of reach, for all objects or for some, brought within it;
     each obstacle and each object taken away. Changes whose search ends at its cap are not named.
     """
-    return tuple(text for text, changed in _changes(problem) if _solvable(changed))
+    single = tuple(text for text, changed in _changes(problem) if is_possible(changed))
+    return single or tuple(islice(_pairs(problem), _MOST_HELPFUL_PAIRS))
 
 
-def _solvable(problem: Problem) -> bool:
-    start = tuple(item.start for item in problem.objects)
-    table, rule = conflict_table(problem), goal_rule(problem)
-    if not goal_is_possible(start, table, rule):
-        return False
-    if len(start) <= MOST_WITH_ROOM:
-        anywhere = fewest_with_room(start, table, rule, len(start), _MOST_MOVES_TRIED)
-        if anywhere.proven and anywhere.steps is None:
-            return False
-        room = len(clear_places(start, table, rule))
-        if fewest_with_room(start, table, rule, room, _MOST_MOVES_TRIED).steps is not None:
-            return True
-    # A greedy search: that there is a plan is all that is asked.
-    found = fewest_moves(start, table, rule, _MOST_MOVES_TRIED, weight=2.0)
-    return found.steps is not None
+def _pairs(problem: Problem) -> Iterator[str]:
+    """Yield pairs of changes that make a problem solvable."""
+    tried: set[frozenset[str]] = set()
+    for first, changed in _changes(problem):
+        for second, changed_again in _changes(changed):
+            pair = frozenset({first, second})
+            if pair in tried or len(tried) >= _MOST_PAIRS:
+                continue
+            tried.add(pair)
+            if is_possible(changed_again):
+                yield "two more free buffer places" if first == second else f"{first} and {second}"
 
 
 def _changes(problem: Problem) -> Iterator[tuple[str, Problem]]:

@@ -12,6 +12,7 @@ import pytest
 from srvs_cell.planning import AssignGoal, FingerGrip, Polygon, Problem, ProblemObject, plan, validate
 from srvs_cell.planning.ample_room import clear_places, fewest_with_room
 from srvs_cell.planning.clearance import conflict_table
+from srvs_cell.planning.culprits import culprits, only
 from srvs_cell.planning.explain import what_would_help
 from srvs_cell.planning.goals import goal_rule
 from srvs_cell.scene import Move, Place, PlaceKind, PlanStatus
@@ -114,6 +115,18 @@ def test_what_would_help_helps(seed: int) -> None:
                 goal=replace(problem.goal, allowed=tuple(a for i, a in enumerate(problem.goal.allowed) if i != number)),
             )
             assert brute_force(without) is not None
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_those_to_blame_are_alone_to_blame_and_each_of_them_is(seed: int) -> None:
+    problem = crowd(seed)
+    blamed = culprits(problem, range(len(problem.objects)))
+    if plan(problem).status is not PlanStatus.INFEASIBLE:
+        assert blamed == ()
+        return
+    assert blamed
+    assert brute_force(only(problem, blamed)) is None
+    assert all(brute_force(only(problem, set(blamed) - {one})) is not None for one in blamed)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -138,7 +138,7 @@ def test_fingers_that_a_static_neighbour_blocks_make_it_infeasible() -> None:
     ]
     answer = plan_relocation(parts, PARAMETERS, WORKSPACE)
     assert answer.relocation.status is PlanStatus.INFEASIBLE
-    assert any("in the way of the fingers" in reason for reason in answer.relocation.reasons)
+    assert any("(450.0, -70.0) is in the way of the hand" in reason for reason in answer.relocation.reasons)
     slim = PlanningParameters(
         home_mm=(450.0, 0.0), fingers=FingerGeometry(thickness_mm=4.0, width_mm=8.0, clearance_mm=3.0)
     )
