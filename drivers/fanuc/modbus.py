@@ -15,6 +15,7 @@ from drivers.fanuc import judgement, registers
 from drivers.fanuc.modbus_diagnosis import diagnose_modbus, peek_inputs_modbus
 from drivers.fanuc.registers import Command, Snapshot
 from drivers.fanuc.settings import MotionSettings
+from drivers.fanuc.silence import OwnSilence
 from drivers.fanuc.wire import ModbusWire
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
@@ -90,6 +91,7 @@ class FanucModbusArm:
         self._robot_beat_at_s = 0.0
         self._heartbeat_lost = False
         self._lost: PortError | None = None
+        self._silence = OwnSilence(clock)
         self._hold_requested = False
         self._moving = asyncio.Lock()
 
@@ -149,6 +151,7 @@ class FanucModbusArm:
                 Alarm.ROBOT_NOT_READY, f"DO[{self._config.hold_output}] (hold) stays on: the robot's watchdog holds it."
             )
         self._hold_requested = False
+        self._silence.begin_anew()
         self._lifecycle = Lifecycle.ACTIVE
 
     async def deactivate(self) -> None:
@@ -295,8 +298,13 @@ class FanucModbusArm:
                 if judgement.finished(snapshot, sequence, start, hold_requested=self._hold_requested):
                     break
             except MotionStoppedError as error:
+                if self._lifecycle == Lifecycle.ACTIVE:
+                    self._lifecycle = Lifecycle.INACTIVE  # the hold output may still be on
                 if self._heartbeat_lost:
                     raise MotionStoppedError(Alarm.HEARTBEAT_LOST, error.detail) from error
+                silence = self._silence.noticed
+                if silence is not None and not self._hold_requested:
+                    raise MotionStoppedError(Alarm.HEARTBEAT_LOST, f"{error.detail} {silence}") from error
                 raise
             now_s = self._clock.now_s()
             if not budget.spend(now_s - last_s, snapshot.override_percent):
@@ -324,6 +332,7 @@ class FanucModbusArm:
             while True:
                 beat = registers.next_sequence(beat)
                 await self._wire.write_words(registers.PC_HEARTBEAT_WORD, [beat])
+                self._silence.end()
                 self._note_robot_beat((await self._wire.read_words(registers.ROBOT_HEARTBEAT_WORD, 1))[0])
                 if self._heartbeat_lost and self._lifecycle == Lifecycle.ACTIVE:
                     await self.request_stop()

@@ -16,6 +16,7 @@ from drivers.fanuc.karel.diagnosis import diagnose_karel, peek_inputs_karel
 from drivers.fanuc.karel.link import make_link
 from drivers.fanuc.karel.messages import State
 from drivers.fanuc.karel.session import LineSession, NoAnswerError
+from drivers.fanuc.silence import OwnSilence
 from drivers.fanuc.standstill import standstill
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import (
@@ -47,6 +48,7 @@ class FanucKarelArm:
         self._session = LineSession(make_link(config), config.timeout_s, config.read_tries)
         self._lifecycle = Lifecycle.DISCONNECTED
         self._heartbeat: asyncio.Task[None] | None = None
+        self._silence = OwnSilence(clock)
         self._moving = asyncio.Lock()
         self._stop_requested = False
         self._stops = 0
@@ -99,6 +101,7 @@ class FanucKarelArm:
             await self.request_stop()
             raise NotReadyError(Alarm.ROBOT_NOT_READY, "A stop was requested meanwhile.")
         self._stop_requested = False
+        self._silence.begin_anew()
         self._lifecycle = Lifecycle.ACTIVE
 
     async def deactivate(self) -> None:
@@ -256,6 +259,9 @@ class FanucKarelArm:
             self._lifecycle = Lifecycle.INACTIVE
             if self._stop_requested:
                 raise MotionStoppedError(Alarm.MOTION_STOPPED, f"Stopped at {start} before the move began.")
+            silence = self._silence.noticed
+            if silence is not None:
+                raise MotionStoppedError(Alarm.HEARTBEAT_LOST, f"The move has not begun. {silence}")
         raise messages.refused(name, reply)
 
     async def _follow(self, sequence: int, start: Xyzwpr, target: Xyzwpr, budget: MotionBudget) -> Xyzwpr:
@@ -300,6 +306,7 @@ class FanucKarelArm:
         with contextlib.suppress(PortError):  # `LineSession.lost` keeps it for who needs the arm next
             while True:
                 await self._session.read("BEAT")
+                self._silence.end()
                 await self._clock.sleep(self._config.heartbeat_s)
 
     async def _end_heartbeat(self) -> None:

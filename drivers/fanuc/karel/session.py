@@ -9,10 +9,21 @@ to ask what has become of it.
 from __future__ import annotations
 
 import asyncio
+import secrets
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
-from drivers.fanuc.karel.lines import END, PROTOCOL, LineBuffer, LineError, Reply, decode, encode, next_sequence
+from drivers.fanuc.karel.lines import (
+    END,
+    LAST_SEQUENCE,
+    PROTOCOL,
+    LineBuffer,
+    LineError,
+    Reply,
+    decode,
+    encode,
+    next_sequence,
+)
 from drivers.fanuc.karel.messages import Refusal, refused
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import NotConnectedError, PortError
@@ -27,7 +38,8 @@ MOST_BAD_LINES: Final = 8
 
 _REMEMBERED: Final = 16
 """How many numbers that are done with are remembered: a late or a second reply to them is let pass, also in the next
-conversation, since a robot that stood still answers on a serial line what it was asked in the last one."""
+conversation, since a robot that stood still answers on a serial line what it was asked in the last one. Before the
+greeting is answered any other reply is let pass: lines keep their order, so it is meant for an earlier process."""
 
 
 class NoAnswerError(PortError):
@@ -57,13 +69,15 @@ class LineSession:
     def __init__(self, link: Link, timeout_s: float, tries: int) -> None:
         self.lost: PortError | None = None
         self._link, self._timeout_s, self._tries = link, timeout_s, tries
-        self._open = False
+        self._open = self._greeted = False
+        self._not_ours = 0
         self._buffer = LineBuffer()
         self._bad_in_a_row: list[str] = []
         self._pending: dict[int, Future[Reply]] = {}
         self._done_with: deque[int] = deque(maxlen=_REMEMBERED)
         self._turn = asyncio.Lock()
-        self._sequence = self._last_move = 0
+        # anywhere: on a serial line a robot that stood still may yet answer another process, which began elsewhere
+        self._sequence, self._last_move = secrets.randbelow(LAST_SEQUENCE), 0
 
     @property
     def address(self) -> str:
@@ -87,7 +101,8 @@ class LineSession:
             NotConnectedError: the carrier cannot be opened, or nobody answers; SESSION_HELD where somebody else has it.
             PortError: PROTOCOL_ERROR, PROTOCOL_VERSION where something else answers.
         """
-        self.lost, self._bad_in_a_row = None, []
+        self.lost, self._bad_in_a_row, self._greeted = None, [], False
+        self._not_ours = 0
         self._buffer = LineBuffer()
         await self._link.open(self._take, self._end)
         self._open = True
@@ -102,7 +117,7 @@ class LineSession:
             if isinstance(error, PortError):
                 raise self._why_not_greeted(error) from error
             raise
-        self._last_move = reply.values[1]
+        self._last_move, self._greeted = reply.values[1], True
 
     def close(self) -> None:
         """End the conversation."""
@@ -208,13 +223,16 @@ class LineSession:
         if waiting is not None:
             _answer(waiting, reply)
         elif reply.sequence not in self._done_with:
-            self._end(
-                PortError(
-                    Alarm.PROTOCOL_ERROR,
-                    f"{self.address}: a reply to number {reply.sequence}, which was never sent: does somebody else "
-                    "talk to the robot on this wire?",
-                )
-            )
+            self._not_ours = reply.sequence
+            if self._greeted:
+                self._end(self._stranger())
+
+    def _stranger(self) -> PortError:
+        return PortError(
+            Alarm.PROTOCOL_ERROR,
+            f"{self.address}: a reply to number {self._not_ours}, which was never sent: does somebody else talk to the "
+            "robot on this wire?",
+        )
 
     def _note_bad_line(self, reason: str) -> None:
         self._bad_in_a_row.append(reason)
@@ -238,6 +256,8 @@ class LineSession:
                 Alarm.SESSION_HELD,
                 f"{self.address}: the robot hangs up at once: it talks to one PC at a time, and another one is there.",
             )
+        if error.alarm is Alarm.CONNECTION_TIMEOUT and self._not_ours:
+            return self._stranger()
         if error.alarm is Alarm.CONNECTION_TIMEOUT:
             return NotConnectedError(
                 error.alarm,

@@ -28,7 +28,8 @@ from srvs_cell.ports import (
     RobotMode,
 )
 from tests.drivers.fanuc.bench import HOME, PATIENT_S, SPEED_MM_S, TARGET
-from tests.drivers.fanuc.karel_bench import CARRIERS, karel_bench, make_arm
+from tests.drivers.fanuc.karel_bench import CARRIERS, KarelBench, karel_bench, make_arm
+from tests.drivers.fanuc.karel_conversation import Conversation
 from tests.drivers.stepped import SteppedClock, SteppedTime
 
 FAR = Xyzwpr(3000.0, 0.0, 400.0, 180.0, 0.0, 0.0)
@@ -175,6 +176,7 @@ async def test_what_answers_must_be_the_robots_program(answer: bytes, alarm: Ala
     served = asyncio.Event()
     server = await asyncio.start_server(serve, "127.0.0.1", 0)
     arm = make_arm(_clock(), "tcp", str(server.sockets[0].getsockname()[1]), timeout_s=0.3)
+    arm._session._sequence = 0
     try:
         with pytest.raises(PortError) as error:
             await arm.connect()
@@ -195,6 +197,32 @@ async def test_half_a_line_of_whoever_was_there_before_does_no_harm(carrier: str
                 before.write(b">3,MOVL,600000,0,40")
         await b.ready()
         assert await b.arm.move_linear(TARGET, 100.0) == TARGET
+
+
+async def test_answers_to_a_process_that_is_gone_are_let_pass_and_its_move_is_ended_for_good() -> None:
+    async with karel_bench("serial") as b:
+        b.controller.frozen = True
+        gone, move = Conversation(), (600_000, 0, 400_000, 180_000, 0, 0, 20_000)
+        with open(b.address, "wb", buffering=0) as before:  # noqa: ASYNC230, PTH123 - a device, not a file
+            before.write(gone.line("HELO", 4301) + gone.line("ENBL") + gone.line("MOVL", *move))
+        await _received(b, ["HELO", "ENBL", "MOVL"])
+        connecting = asyncio.create_task(b.arm.connect())
+        await _received(b, ["HELO", "ENBL", "MOVL", "HELO"])
+        b.controller.frozen = False
+        b.controller.take(b"\n")  # it goes on, and answers all that it was asked
+        await connecting
+        assert b.arm._session._not_ours == 3, "its answers were never there: this is no test of them"
+        assert not b.point.moving
+        stood = b.point.pose
+        await b.arm.activate()
+        await b.clock.sleep(1.0)
+        assert (b.point.pose, b.controller.motions_started) == (stood, 0)
+        assert await b.arm.move_linear(TARGET, 100.0) == TARGET
+
+
+async def _received(b: KarelBench, commands: list[str]) -> None:
+    while b.controller.wire.received != commands:  # noqa: ASYNC110 - a thread has no asyncio event
+        await asyncio.sleep(0)
 
 
 async def test_a_move_that_another_process_has_left_under_way_ends_when_this_one_connects() -> None:

@@ -89,6 +89,7 @@ async def _play(arm_says: list[bytes], answers: list[bytes], pieces: int) -> Xyz
     clock = SteppedClock(SteppedTime())
     arm = make_arm(clock, "tcp", str(server.sockets[0].getsockname()[1]), timeout_s=10.0)
     clock.busy = lambda: arm._session.busy
+    arm._session._sequence = 0
     arm._beat = lambda: asyncio.sleep(0)  # type: ignore[method-assign]
     try:
         await arm.connect()

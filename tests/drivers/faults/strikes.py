@@ -166,6 +166,13 @@ async def started_without_heartbeat(c: WireCell) -> None:
     await c.cell.give(Command.START)
 
 
+async def started_after_a_pause(c: WireCell) -> None:
+    """The process has hung for longer than the robot's watchdog bears."""
+    c.b.time.advance_to(c.b.time.now_s() + 2.5)
+    await c.quiet()
+    await c.cell.give(Command.START)
+
+
 async def pc_heartbeat_frozen(c: WireCell) -> None:
     """The process hangs: it neither counts nor reads."""
     if isinstance(c.b, KarelBench):
@@ -195,6 +202,7 @@ STRIKES: Final[dict[str, Callable[[WireCell], Coroutine[None, None, None]]]] = {
     for strike in (
         cut, half_a_packet, silence, reply_for_another, duplicate_reply, nonsense, emergency_stop, collision,
         override_lowered, switched_to_t1, rebooted, second_client, another_writes_commands, part_lost,
-        robot_heartbeat_frozen, started_without_heartbeat, pc_heartbeat_frozen, paused_on_the_pendant,
+        robot_heartbeat_frozen, started_without_heartbeat, started_after_a_pause, pc_heartbeat_frozen,
+        paused_on_the_pendant,
     )
 }  # fmt: skip

@@ -121,6 +121,10 @@ TABLE: Final = (
         "The robot's program refuses the command (fault 6): nothing has moved.",
     ),
     Fault(
+        "started_after_a_pause", "The PC hangs for 2.5 s before a move", "idle", _FROZEN, None,
+        "The robot's watchdog has forbidden motion: nothing has moved.",
+    ),
+    Fault(
         "pc_heartbeat_frozen", "The PC's heartbeat freezes during a move", _MOVE, _FROZEN, None,
         "The robot ends the move by itself. RMI has no heartbeat: a PC that hangs lets the move go on to its target.",
     ),
@@ -130,13 +134,14 @@ KAREL: Final = {
     **{(fault.strike, fault.when): fault.rmi for fault in TABLE},
     ("duplicate_reply", _MOVE): _GOES_ON,
     ("robot_heartbeat_frozen", _MOVE): _NOT_KNOWN,
+    ("started_after_a_pause", "idle"): _FROZEN,
     ("pc_heartbeat_frozen", _MOVE): _FROZEN,
 }
 """What the rows end in on the KAREL line protocol: as on RMI, but for its heartbeats and its memory for numbers."""
 
 _ON_THE_WIRE: Final = {
     "cut", "silence", "half_a_packet", "nonsense", "reply_for_another", "duplicate_reply", "rebooted", "second_client",
-    "robot_heartbeat_frozen", "pc_heartbeat_frozen",
+    "robot_heartbeat_frozen", "started_after_a_pause", "pc_heartbeat_frozen",
 }  # fmt: skip
 
 KAREL_SERIAL: Final = {
