@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.planning.clearance import ConflictTable
     from srvs_cell.planning.problem import Problem
-    from srvs_cell.scene import RelocationPlan
+    from srvs_cell.scene import Point2, RelocationPlan
 
 _MOST_PAIRS = 60
 """Pairs of changes that are tried where no single one helps; help should be cheap."""
@@ -157,14 +157,20 @@ def _changes(problem: Problem) -> Iterator[tuple[str, Problem]]:
 
 
 def _without(problem: Problem, gone: int) -> Problem:
-    """Return the problem without an object; in an order of height its place is no longer one that is occupied."""
+    """Return the problem without an object; in an order of height its place, or else the last one, is given up."""
     rest = tuple(item for item in problem.objects if item.id != gone)
     goal = problem.goal
     if isinstance(goal, RankGoal):
-        goal = replace(goal, slots=tuple(slot for slot in goal.slots if slot != problem.objects[gone].start))
+        point = _point(problem, problem.objects[gone].start)
+        given_up = next((slot for slot in goal.slots if _point(problem, slot) == point), goal.slots[-1])
+        goal = replace(goal, slots=tuple(slot for slot in goal.slots if slot != given_up))
     else:
         goal = replace(goal, allowed=tuple(goal.allowed[item.id] for item in rest))
     return replace(problem, objects=tuple(replace(item, id=i) for i, item in enumerate(rest)), goal=goal)
+
+
+def _point(problem: Problem, place: int) -> Point2:
+    return problem.places[place].x_mm, problem.places[place].y_mm
 
 
 def _place(problem: Problem, place: int) -> str:

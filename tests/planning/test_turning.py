@@ -141,6 +141,18 @@ def test_a_part_keeps_its_yaw_in_a_buffer_place_and_gets_the_rules_in_the_end() 
     assert plan_svg(made.table.problem, made.relocation.moves, "turned").count('class="end"') == 2
 
 
+def test_without_a_turned_part_its_place_is_given_up() -> None:
+    # The first stands beyond the arm's joints, so that nobody can take its place; without it the rest is in order.
+    parts = [workpiece(0, (450, -200), 60, yaw_deg=30.0), workpiece(1, (450, 50), 50), workpiece(2, (450, 200), 20)]
+    narrow = dataclasses.replace(ARM, joint_limits_deg=((-25.0, 25.0), *ARM.joint_limits_deg[1:]))
+    made = _plan([parts[2], parts[1], parts[0]], HeightOrder(yaw_deg=0.0), arm=narrow)
+    assert made.relocation.status is PlanStatus.SOLVED
+    narrow = dataclasses.replace(ARM, joint_limits_deg=((-20.0, 25.0), *ARM.joint_limits_deg[1:]))
+    refused = _plan(parts, HeightOrder(yaw_deg=0.0), arm=narrow).relocation
+    assert refused.status is PlanStatus.INFEASIBLE
+    assert any("workpiece 0" in line and "taken off the table" in line for line in refused.reasons)
+
+
 def test_parts_in_order_and_at_the_rules_yaw_stay() -> None:
     parts = [workpiece(0, (450, 100), 60, yaw_deg=3.0), workpiece(1, (450, -100), 20, yaw_deg=178.0)]
     assert _plan(parts, HeightOrder(yaw_deg=0.0)).moves == ()

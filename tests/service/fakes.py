@@ -100,7 +100,10 @@ class FakeUnit:
                 "bound_moves": 2,
                 "bound_travel_mm": 812.3,
                 "reasons": [],
-                "moves": [{"workpiece": number, "from_mm": [1.0, 2.0], "to_mm": [3.0, 4.0]} for number in (3, 4)],
+                "moves": [
+                    {"workpiece": number, "from_mm": [1.0, 2.0], "to_mm": [3.0, 4.0], "turn_deg": -35.0}
+                    for number in (3, 4)
+                ],
             },
             "moves_done": 1,
             "moves_total": 2,
