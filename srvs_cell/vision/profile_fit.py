@@ -133,7 +133,7 @@ def measure_blur(faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, t
     """Return which blur explains the borders of well known faces best, pixels; the usual one where there are none."""
     if not faces:
         return USUAL_BLUR_PX
-    outlines = Outlines.of(faces, [False] * len(faces), SETTLE.samples, equal_sides=True)
+    outlines = Outlines.of(faces, [False] * len(faces), SCOUT.samples, equal_sides=True)
     borders = outlines.seen(rig)
 
     def energy(blur_px: float) -> float:

@@ -115,7 +115,7 @@ def recognise(
     limits = parameters or RecognitionParameters()
     images, fields = (left, right), (EdgeField.of(left.grey), EdgeField.of(right.grey))
     matched = tuple(surfaces)
-    tops = _find_tops(matched, images, fields, rig, table_z_mm, limits, relief)
+    tops = _find_tops(matched, left, fields, rig, table_z_mm, limits, relief)
     unseen: list[Array] = []
     if relief is None:
         tops = one_per_place(tops)
@@ -124,7 +124,7 @@ def recognise(
     tops, others = share_out(matched, tops, rig, table_z_mm)
     unknown = [surface for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
     explained = explained_polygons(tops, rig, table_z_mm)
-    unknown += _placed(rising_regions(unseen, explained, left.grey.shape), images, rig, table_z_mm, limits)
+    unknown += _placed(rising_regions(unseen, explained, left.grey.shape), fields, rig, table_z_mm, limits)
     faces = [measure_face(top, rig, reference) for top in tops]
     workpieces = [
         make_workpiece(group, faces, table_z_mm, limits.grasp)
@@ -137,7 +137,7 @@ def recognise(
 
 def _find_tops(
     matched: tuple[Surface, ...],
-    images: tuple[PlaneImage, PlaneImage],
+    left: PlaneImage,
     fields: tuple[EdgeField, EdgeField],
     rig: RectifiedRig,
     table_z_mm: float,
@@ -154,27 +154,26 @@ def _find_tops(
         add_tops([one for one in matched if not known(outline_px(one, rig))], tops, fields, rig, table_z_mm, limits)
     if not limits.recover:
         return tops
-    left, _ = images
     planes = unmatched_planes(left, {surface.id for surface in matched})
     for find in (partial(_unknown_planes, planes), partial(stable_regions, left.grey)):
         known = explainer(tops, rig, table_z_mm, relief)
         if known is None:
             break
-        add_tops(_placed(find(known), images, rig, table_z_mm, limits), tops, fields, rig, table_z_mm, limits)
+        add_tops(_placed(find(known), fields, rig, table_z_mm, limits), tops, fields, rig, table_z_mm, limits)
     return tops
 
 
 def _placed(
     regions: list[Region],
-    images: tuple[PlaneImage, PlaneImage],
+    fields: tuple[EdgeField, EdgeField],
     rig: RectifiedRig,
     table_z_mm: float,
     limits: RecognitionParameters,
 ) -> tuple[Surface, ...]:
     """Return regions as surfaces, where the grey values give them a place that a part may have."""
     heights_mm = (table_z_mm, table_z_mm + limits.max_height_mm)
-    left, right = images
-    return find_places(regions, left.grey, right.grey, rig, heights_mm, (limits.min_size_mm, limits.max_size_mm))
+    smooth = (fields[0].smooth, fields[1].smooth)
+    return find_places(regions, smooth, rig, heights_mm, (limits.min_size_mm, limits.max_size_mm))
 
 
 def _unknown_planes(planes: list[Region], known: Callable[[NDArray[np.float32]], bool]) -> list[Region]:

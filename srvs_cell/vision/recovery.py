@@ -163,8 +163,7 @@ def rising_regions(outlines: Iterable[Array], explained: Iterable[Array], shape:
 
 def find_places(
     regions: Iterable[Region],
-    left: NDArray[np.uint8],
-    right: NDArray[np.uint8],
+    smooth: tuple[NDArray[np.float32], NDArray[np.float32]],
     rig: RectifiedRig,
     height_range_mm: tuple[float, float],
     size_range_mm: tuple[float, float],
@@ -173,8 +172,7 @@ def find_places(
 
     Args:
         regions: of the left image.
-        left: rectified left image, uint8, shape (H, W).
-        right: rectified right image.
+        smooth: rectified left and right image, smoothed, float32, shape (H, W).
         rig: the rectified cameras.
         height_range_mm: least and greatest height of a face in the base frame: table and highest part.
         size_range_mm: least and greatest extent of a face.
@@ -183,16 +181,13 @@ def find_places(
         Surfaces, taken as level, without systematic errors; their match has `NO_PLANE` on the right.
     """
     surfaces = []
-    grey_left, grey_right = (
-        np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0), dtype=np.float64) for image in (left, right)
-    )
     low, high = (np.array(rig.plane_disparity(_UP, z_mm)) for z_mm in height_range_mm)
     for region in regions:
         centre = region.centre_px
         least, most = (float(plane @ (*centre, 1.0)) for plane in (low, high))
         if not _possible(region, rig, most, size_range_mm):
             continue
-        found = _best_disparity(region, grey_left, grey_right, (least - _MARGIN_PX, most + _MARGIN_PX))
+        found = _best_disparity(region, smooth, (least - _MARGIN_PX, most + _MARGIN_PX))
         if found is None:
             continue
         disparity, correlation = found
@@ -237,9 +232,10 @@ def _level_plane(rig: RectifiedRig, centre_px: tuple[float, float], disparity_px
 
 
 def _best_disparity(
-    region: Region, grey_left: Array, grey_right: Array, span_px: tuple[float, float]
+    region: Region, smooth: tuple[NDArray[np.float32], NDArray[np.float32]], span_px: tuple[float, float]
 ) -> tuple[float, float] | None:
     """Return the disparity at which the region's grey values correlate best, and the correlation."""
+    grey_left, grey_right = smooth
     rows, columns, band = _pixels(region, grey_left.shape)
     disparities = np.arange(int(np.floor(span_px[0])), int(np.ceil(span_px[1])) + 1)
     if columns.size == 0 or disparities.size < 3:  # noqa: PLR2004 - a maximum has two neighbours
@@ -263,7 +259,7 @@ def _best_disparity(
     return float(disparities[best]) + float(np.clip(shift, -0.5, 0.5)), at
 
 
-def _usual_greys(values: Array, band: NDArray[np.bool_]) -> tuple[float, float]:
+def _usual_greys(values: NDArray[np.float32], band: NDArray[np.bool_]) -> tuple[float, float]:
     """Return the least and greatest grey value that a region and the band around it usually have.
 
     What is beyond is another part's, which stands before or beside the region and is at another height.

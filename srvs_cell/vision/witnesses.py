@@ -32,7 +32,7 @@ It reads more of the picture, so that its misfit is larger where the place is ri
 """
 _WITNESS_RMS_PX = 0.25
 """Edges that fit so well count half against the grey values."""
-_DOUBTFUL_PX2 = 0.08
+_DOUBTFUL_PX2 = 0.2
 """A rectangle whose misfit is less is not asked what else it may be."""
 _CLEAR_GAIN = 0.7
 """Another rectangle must have less than this share of the misfit."""
