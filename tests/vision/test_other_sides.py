@@ -136,3 +136,22 @@ def test_grey_values_that_fit_badly_leave_it_to_the_edges() -> None:
     agreed = Witnesses(FaceFit(face, np.eye(3), 0.5, 1.0), FaceFit(lost, np.eye(3), 0.9, 1.0), 0.0).agreed()
     assert agreed.face == face
     assert agreed.covariance_mm2[2, 2] >= 81.0
+
+
+def test_a_level_rectangle_that_is_a_wedges_gets_its_slope() -> None:
+    part = wedge(500.0, 60.0, 20.0, 44.0, 30, (50.0, 40.0), 170)
+    bench = bench_of([part])
+    level = seen_as(replace(part.face, slope_u=0.0), bench)
+    assert level.agreed().face.slope_u == 0.0
+    (settled,) = bench.settled([level])
+    assert settled.agreed().face.inclination_deg == pytest.approx(part.face.inclination_deg, abs=1.5)
+    assert settled.agreed().face.z_mm == pytest.approx(part.face.z_mm, abs=1.5)
+
+
+def test_a_face_that_comes_out_next_to_level_is_fitted_as_level() -> None:
+    bench = replace(bench_of([BOX]), possible=lambda fit: fit.face.slope_u == 0.0 or fit.face.inclination_deg > 5.0)
+    slanted = FaceFit(replace(BOX.face, slope_u=0.1), np.eye(3), 0.3, 1.0)
+    (both,) = bench.by_profiles([slanted])
+    assert both is not None
+    assert both.by_edges.face.slope_u == both.by_profiles.face.slope_u == 0.0
+    assert both.by_profiles.face.z_mm == pytest.approx(BOX.face.z_mm, abs=1.0)
