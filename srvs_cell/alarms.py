@@ -104,7 +104,7 @@ class Alarm(Enum):
     RESTART_UNRESOLVED = AlarmDefinition(5003, _C, Reaction.ABORT, "The last run ended while a move or a grip was under way.", "Look at the gripper and say 'resolve gripper empty' or 'resolve gripper holding'.")
     JOURNAL_FAILED = AlarmDefinition(5004, _C, Reaction.ABORT, "The journal cannot be written, so nothing may move.", "Check disk space and permissions of the state directory.")
     INTERNAL_ERROR = AlarmDefinition(5005, _C, Reaction.ABORT, "The software met a condition that it has no name for.", "Save a copy of the log and report it; clear to continue.")
-    NO_DAEMON = AlarmDefinition(5006, _E, Reaction.NONE, "No daemon answers.", "Start it: 'systemctl start srvs-cell' or 'srvs-cell run --config CELL.yaml'.")
+    NO_DAEMON = AlarmDefinition(5006, _E, Reaction.NONE, "No daemon answers.", "Start it: 'systemctl start srvs-cell' or 'srvs-cell run --config CELL.yaml'; one that serves another socket is named by --socket or $SRVS_CELL_SOCKET.")
     NOT_AUTHORISED = AlarmDefinition(5007, _W, Reaction.NONE, "This connection may read but not command.", "Use the unix socket as a member of the operators' group.")
     SIMULATION_FAILED = AlarmDefinition(5008, _E, Reaction.NONE, "The simulated cell did not start or ended early.", "Install the extra 'sim'; the detail has the last lines of its log.")
     ALREADY_RUNNING = AlarmDefinition(5009, _E, Reaction.NONE, "Another daemon already serves this cell.", "Use the running one ('srvs-cell status'), or stop it before you start another; the detail names what it holds.")

@@ -98,6 +98,8 @@ class JobRunner:
             await self._journal_end(job, "halted" if end.error is None else end.error.alarm.name)
         # Not before: where a command comes while the journal writes, `halt` still has to tell what the job ended with.
         self._task = None
+        if not self.paused:
+            job.progress.step = None
         return end
 
     async def finish(self) -> None:

@@ -138,13 +138,13 @@ def _status_text(status: dict[str, Any]) -> str:
         ("State", status["state"]),
         ("Mode", status["mode"] + ("   SIMULATION" if status["simulation"] else "")),
         ("Step", status["step"] or "none"),
-        ("Moves", f"{status['moves_done']} of {status['moves_total']}"),
+        ("Moves", f"{status['moves_done']} of {status['moves_total']}" if status["moves_total"] else "none planned"),
         ("Workpieces", ", ".join(map(_workpiece_text, status["workpieces"])) or "none"),
         ("Gripper", status["gripper"]["knowledge"]),
         ("Page", status["service"]["page"] or "none (service.tcp_port)"),
         ("Commands", ", ".join(status["allowed_commands"])),
     ]
-    if (unfinished := status["unfinished_job"]) is not None:
+    if (unfinished := status["unfinished_job"]) is not None and not status["step"]:
         rows.insert(4, ("Unfinished", f"job {unfinished}: its places are kept until it is finished, or 'forget'"))
     lines = [f"{name:<{_WIDTH}}{value}" for name, value in rows]
     for alarm in status["alarms"]:

@@ -8,7 +8,7 @@ import httpx2
 import pytest
 
 from srvs_cell import __version__
-from srvs_cell.cell import State
+from srvs_cell.cell import Command, State
 
 if TYPE_CHECKING:
     from tests.service.conftest import Served
@@ -162,3 +162,9 @@ async def test_page_shows_alarms_workpieces_plan_and_the_last_looks_pictures(ser
     assert "left_1.png" not in text, "pictures of an earlier look"
     assert "cuboid &lt;b&gt;" in text, "what comes from outside is escaped"
     assert text.count('class="done"') == 1
+    assert "clear, then reset, then start" in text
+    assert "Unfinished" not in text, "a job that is under way"
+    await served.unit.command(Command.CLEAR, "test")
+    await served.unit.command(Command.RESET, "test")
+    assert "then start" not in (await served.reads.get("/page/cell")).text
+    assert (await served.reads.get("/favicon.ico")).status_code == 204

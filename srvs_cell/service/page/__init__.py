@@ -10,8 +10,10 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fastapi.responses import FileResponse, HTMLResponse
+from fastapi.responses import FileResponse, HTMLResponse, Response
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from srvs_cell.cell.packml import Command, Mode, State, leads_there
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
 _FOLDER = Path(__file__).parent
+_NO_CONTENT = 204
 _LOOK_NUMBER = re.compile(r"_(\d+)$")
 
 
@@ -44,18 +47,25 @@ def add_page(app: FastAPI, snapshot: Callable[[], dict[str, Any]]) -> None:
     async def script() -> FileResponse:
         return FileResponse(_FOLDER / "page.js", media_type="text/javascript")
 
+    @app.get("/favicon.ico", include_in_schema=False)
+    async def icon() -> Response:
+        return Response(status_code=_NO_CONTENT)  # every browser asks for one
+
     @app.get("/page/page.css", include_in_schema=False)
     async def style() -> FileResponse:
         return FileResponse(_FOLDER / "page.css", media_type="text/css")
 
 
 def _view(snapshot: dict[str, Any]) -> dict[str, Any]:
-    """Return what the templates show: the snapshot, the addresses of the pictures, how much of the plan is done."""
+    """Return what the templates show: the snapshot, pictures' addresses, what is done of the plan, the way to a job."""
     moves_left = snapshot["moves_total"] - snapshot["moves_done"]
+    way = leads_there(State(snapshot["state_number"]), Command.START, Mode(snapshot["mode_number"]))
     return {
         "cell": snapshot,
         "pictures": _last_pictures(snapshot["artefacts"]),
         "moves_done_of_plan": len(snapshot["plan"]) - moves_left,
+        # from anywhere else a start would give up the job under way
+        "way_to_start": [command.title for command in way] if way[:1] in {(Command.CLEAR,), (Command.RESET,)} else [],
     }
 
 

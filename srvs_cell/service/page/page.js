@@ -22,6 +22,7 @@ function showAge() {
   document.getElementById("lost-age").textContent = text;
   lost.hidden = age < QUIET_MS;
   document.body.classList.toggle("stale", age >= QUIET_MS);
+  document.title = `${lost.hidden ? cell.querySelector("h1").textContent : "Connection lost"} - srvs-cell`;
 }
 
 // Pictures and text that stay the same stay where they are: no flicker, no lost selection.
