@@ -17,7 +17,7 @@ import numpy as np
 from srvs_cell.scene import PlaneImage, PlaneMatch
 from srvs_cell.vision.hypotheses import LEAST_SLOPE, find_surfaces
 from srvs_cell.vision.interpolation import disparity_at
-from srvs_cell.vision.photometric import PhotometricCost
+from srvs_cell.vision.photometric import row_slope
 from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.refinement import align_plane
 
@@ -44,7 +44,6 @@ _LATTICE = (49472, 37345)
 _WHOLE = 65535
 _ALL = slice(None)
 _SQUARE = np.ones((3, 3), np.uint8)
-_SOBEL_SCALE = 0.125
 _NOISE_GREY = 0.5
 """Costs that differ by less are alike: it is what rounding and noise cost."""
 _LEAST_WEIGHT = 0.1
@@ -95,8 +94,11 @@ def group_surfaces(
     candidates = matches if parameters.dense.enabled else [matches[k] for k in np.flatnonzero(shared).tolist()]
     if not candidates:
         return Grouping(left, right, tuple(matches))
-    cost = PhotometricCost.of(left.grey, right.grey)
-    found = find_surfaces(left, candidates, cost, pair, (limits, parameters.refinement))
+    slope = row_slope(left.grey).ravel()
+    # a bare table would take all the places of the few pixels that tell something
+    pixels = np.flatnonzero(np.abs(slope) >= LEAST_SLOPE)
+    sloping = (pixels, slope[pixels])
+    found = find_surfaces(left, right, candidates, sloping, pair, (limits, parameters.refinement))
     everything = tuple(each.plane for each in found)
     shared = _are_shared(np.array(everything).reshape(-1, 3), left, matches, limits.max_step_px)
     known = [found[k] for k in np.flatnonzero(shared).tolist() if found[k].sigma_px <= limits.max_step_px]
@@ -106,10 +108,8 @@ def group_surfaces(
     own = np.full((len(left.planes) + 1, 3), np.nan)
     for match in matches:
         own[match.left] = match.disparity_plane
-    # a bare table would take all the places of the few pixels that tell something
-    pixels = np.flatnonzero((left.labels > 0) & (np.abs(cost.left_x) >= LEAST_SLOPE))
     region = left.labels.ravel()[pixels]
-    samples = sample_regions(left.labels, len(own))
+    samples = sample_regions(left)
     owner = assign_regions(pair, samples, own, surfaces, limits)
     for k in np.unique(owner[owner >= 0]).tolist():
         rows, columns = np.divmod(pixels[(owner == k)[region]], left.labels.shape[1])
@@ -159,7 +159,7 @@ def assign_regions(
     """
     count = len(own)
     region, rows, columns = samples
-    weights = np.abs(cv2.Sobel(pair.left, cv2.CV_32F, 1, 0, scale=_SOBEL_SCALE))[rows, columns] + _LEAST_WEIGHT
+    weights = np.abs(pair.left_x[rows, columns]) + _LEAST_WEIGHT
     total = np.maximum(np.bincount(region, weights=weights, minlength=count), _LEAST_WEIGHT)
     x, y, target = columns.astype(np.float32), rows.astype(np.float32), pair.left[rows, columns]
 
@@ -186,17 +186,17 @@ def assign_regions(
     return np.asarray(chosen)
 
 
-def sample_regions(
-    labels: NDArray[np.int32], count: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+def sample_regions(image: PlaneImage) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Return region, row and column of every region's pixels, of a large region of a part of them, shape (N,)."""
-    share = np.minimum(_SAMPLED_PIXELS / np.maximum(np.bincount(labels.ravel(), minlength=count), 1), 1.0)
+    # what belongs to no region has no share
+    share = np.array([0.0, *[_SAMPLED_PIXELS / plane.area_px for plane in image.planes]])
+    limit = (np.minimum(share, 1.0) * _WHOLE).astype(np.uint16)
     # a lattice of irrational steps, modulo 1, leaves pixels out evenly along every direction
-    across, down = (np.arange(size) * step for size, step in zip(labels.shape[::-1], _LATTICE, strict=True))
+    across, down = (np.arange(size) * step for size, step in zip(image.labels.shape[::-1], _LATTICE, strict=True))
     place = np.add.outer(down.astype(np.uint16), across.astype(np.uint16))
-    kept = np.flatnonzero((place <= (share * _WHOLE).astype(np.uint16)[labels]) & (labels > 0))
-    rows, columns = np.divmod(kept, labels.shape[1])
-    return labels.ravel()[kept].astype(np.intp), rows, columns
+    kept = np.flatnonzero(place < limit.take(image.labels))
+    rows, columns = np.divmod(kept, image.labels.shape[1])
+    return image.labels.ravel()[kept].astype(np.intp), rows, columns
 
 
 def _difference(

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from srvs_cell.vision.photometric import PhotometricCost
 from srvs_cell.vision.refinement import GreyPair, align_plane
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     from srvs_cell.scene import DisparityPlane, PlaneImage, PlaneMatch
     from srvs_cell.vision.parameters import GroupingParameters, RefinementParameters
-    from srvs_cell.vision.photometric import PhotometricCost
 
 _COARSE_PIXELS = 10_000
 """The coarse grid has about so many."""
@@ -36,6 +36,8 @@ _LARGEST = 48
 _ROUNDS = 2
 LEAST_SLOPE = 1.0
 """Grey values per pixel along the row; where there is less, a pixel tells nothing of the disparity."""
+_FINE, _FINEST = 256.0, 65535.0
+"""Slopes are compared in parts of a grey value per pixel, as whole numbers of 16 bits."""
 _FLAT_SLOPE = 0.3
 """A surface whose disparity changes by more per pixel is none that a camera sees well."""
 
@@ -55,8 +57,9 @@ class Hypothesis:
 
 def find_surfaces(
     left: PlaneImage,
+    right: PlaneImage,
     matches: Sequence[PlaneMatch],
-    cost: PhotometricCost,
+    sloping: tuple[NDArray[np.intp], NDArray[np.float32]],
     pair: GreyPair,
     parameters: tuple[GroupingParameters, RefinementParameters],
 ) -> list[Hypothesis]:
@@ -64,9 +67,10 @@ def find_surfaces(
 
     Args:
         left: planes of the left image.
+        right: the right image.
         matches: matched regions with their disparity planes; the largest are candidates.
-        cost: of the pair.
-        pair: the same for the alignment.
+        sloping: numbers in the flat left image, ascending, and slopes of the pixels that tell something.
+        pair: the images prepared for the alignment.
         parameters: of the grouping and of the alignment.
     """
     limits, refinement = parameters
@@ -78,10 +82,11 @@ def find_surfaces(
     ]
     if not candidates:
         return []
-    step_px = max(1, round(np.sqrt(cost.left.size / _COARSE_PIXELS)))
-    sloping = steepest_pixels(cost.left_x, step_px)
-    height, width = sloping.shape
-    costs = _coarse(cost, candidates, step_px)
+    step_px = max(1, round(np.sqrt(left.grey.size / _COARSE_PIXELS)))
+    cost = PhotometricCost.of(left.grey, right.grey, step_px)
+    steepest = steepest_pixels(*sloping, left.grey.shape, step_px)
+    height, width = steepest.shape
+    costs = _coarse(cost, candidates)
     for _ in range(_ROUNDS):
         chosen = choose_planes(costs, limits.min_share)
         candidates, costs = [candidates[k] for k in chosen], costs[chosen]
@@ -90,29 +95,38 @@ def find_surfaces(
         owner = np.argmin(costs, axis=0)[:height, :width]
         aligned = []
         for number, candidate in enumerate(candidates):
-            rows, columns = np.divmod(sloping[(owner == number) & (sloping >= 0)], cost.left.shape[1])
+            rows, columns = np.divmod(steepest[(owner == number) & (steepest >= 0)], left.grey.shape[1])
             better = align_plane(pair, rows, columns, candidate.plane, refinement)
             if better is not None:
                 aligned.append(Hypothesis(better.plane, better.sigma_px))
         candidates += aligned
-        costs = np.concatenate([costs, _coarse(cost, aligned, step_px)])
+        costs = np.concatenate([costs, _coarse(cost, aligned)])
     return [candidates[k] for k in choose_planes(costs, limits.min_share)]
 
 
-def steepest_pixels(slope: NDArray[np.float32], cell_px: int) -> NDArray[np.intp]:
-    """Return the number of the pixel with the steepest slope in each whole cell, -1 where none slopes, shape (h, w)."""
-    height, width = (length // cell_px for length in slope.shape)
-    cells = np.abs(slope[: height * cell_px, : width * cell_px]).reshape(height, cell_px, width, cell_px)
-    flat = cells.transpose(0, 2, 1, 3).reshape(height, width, cell_px**2)
-    within = np.argmax(flat, axis=2)
-    rows = np.arange(height)[:, None] * cell_px + within // cell_px
-    columns = np.arange(width)[None, :] * cell_px + within % cell_px
-    return np.where(flat.max(axis=2) >= LEAST_SLOPE, rows * slope.shape[1] + columns, -1)
+def steepest_pixels(
+    pixels: NDArray[np.intp], slope: NDArray[np.float32], shape: tuple[int, ...], cell_px: int
+) -> NDArray[np.intp]:
+    """Return the number of the pixel with the steepest slope in each whole cell, -1 where there is none, shape (h, w).
+
+    Args:
+        pixels: numbers in the flat image.
+        slope: of each of them.
+        shape: of the image.
+        cell_px: side of a cell.
+    """
+    height, width = (length // cell_px for length in shape)
+    row, column = (place // cell_px for place in np.divmod(pixels, shape[1]))
+    steepest = np.full((shape[0] // cell_px + 1, shape[1] // cell_px + 1), -1, dtype=np.intp)
+    # the steepest of a cell is written last
+    rising = np.argsort(np.minimum(np.abs(slope) * _FINE, _FINEST).astype(np.uint16), kind="stable")
+    steepest[row[rising], column[rising]] = pixels[rising]
+    return steepest[:height, :width]
 
 
-def _coarse(cost: PhotometricCost, candidates: Sequence[Hypothesis], step_px: int) -> NDArray[np.float32]:
-    """Return the candidates' costs on the coarse grid, averaged over a small window, shape (K, h, w)."""
-    costs = cost.of_planes([candidate.plane for candidate in candidates], step_px)
+def _coarse(cost: PhotometricCost, candidates: Sequence[Hypothesis]) -> NDArray[np.float32]:
+    """Return the candidates' costs averaged over a small window, shape (K, h, w)."""
+    costs = cost.of_planes([candidate.plane for candidate in candidates])
     for each in costs:
         cv2.boxFilter(each, -1, _WINDOW, dst=each)
     return costs

@@ -32,54 +32,56 @@ _UNSEEN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class PhotometricCost:
-    """Two rectified images, prepared for looking up many planes.
+    """Two rectified images, prepared for looking up many planes at every ``step_px``-th pixel of every such row.
 
     Attributes:
-        left, left_x: the left image and its slope along the rows, float32, shape (H, W).
+        left, left_x: those pixels of the left image and its slope along the rows there, float32, shape (h, w).
         right: least and greatest value, least and greatest slope of the right image within half a pixel of each pixel
-            along its row, float32, shape (H, W, 4).
+            along those rows, float32, shape (h, W, 4).
+        step_px: the step.
     """
 
     left: Image
     left_x: Image
     right: Image
+    step_px: int
 
     @classmethod
-    def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> PhotometricCost:
+    def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8], step_px: int = 1) -> PhotometricCost:
         """Prepare two grey images, uint8, shape (H, W)."""
-        one, other = left.astype(np.float32), right.astype(np.float32)
-        within = cv2.merge([*_envelope(other), *_envelope(_slope(other))])
-        return cls(one, _slope(one), np.asarray(within, dtype=np.float32))
+        chosen = slice(step_px // 2, None, step_px)
+        rows = (right[chosen].astype(np.float32), np.ascontiguousarray(row_slope(right)[chosen]))
+        within = cv2.merge([bound for row in rows for bound in _envelope(row)])
+        slope = np.ascontiguousarray(row_slope(left)[chosen, chosen])
+        return cls(left[chosen, chosen].astype(np.float32), slope, np.asarray(within, dtype=np.float32), step_px)
 
-    def of_planes(self, planes: Sequence[DisparityPlane], step_px: int = 1) -> Image:
-        """Return the cost, 0 to 1, of every ``step_px``-th pixel in every ``step_px``-th row, shape (K, h, w)."""
+    def of_planes(self, planes: Sequence[DisparityPlane]) -> Image:
+        """Return the cost of planes, 0 to 1, shape (K, h, w)."""
         height, width = self.left.shape
-        first = step_px // 2
-        x = np.arange(first, width, step_px, dtype=np.float32)[None, :]
-        y = np.arange(first, height, step_px, dtype=np.float32)[:, None]
-        rows = np.ascontiguousarray(np.broadcast_to(y, (y.size, x.size)))
-        grey, slope = (
-            np.ascontiguousarray(image[first::step_px, first::step_px]) for image in (self.left, self.left_x)
-        )
-        costs = np.empty((len(planes), y.size, x.size), dtype=np.float32)
+        first, last = self.step_px // 2, self.right.shape[1] - 1.0
+        x = (first + self.step_px * np.arange(width, dtype=np.float32))[None, :]
+        y = (first + self.step_px * np.arange(height, dtype=np.float32))[:, None]
+        rows = np.repeat(np.arange(height, dtype=np.float32)[:, None], width, axis=1)
+        costs = np.empty((len(planes), height, width), dtype=np.float32)
         for number, (a, b, c) in enumerate(planes):
             seen = np.float32(1.0 - a) * x - (np.float32(b) * y + np.float32(c))
             found = cv2.split(np.asarray(cv2.remap(self.right, seen, rows, cv2.INTER_LINEAR), dtype=np.float32))
             low, high, low_x, high_x = (np.asarray(channel, dtype=np.float32) for channel in found)
-            costs[number] = _beyond(grey, low, high, _GREY_LIMIT)
-            costs[number] += _beyond(slope, low_x, high_x, _SLOPE_LIMIT)
-            costs[number][(seen < 0.0) | (seen > width - 1.0)] = _UNSEEN
+            costs[number] = _beyond(self.left, low, high, _GREY_LIMIT)
+            costs[number] += _beyond(self.left_x, low_x, high_x, _SLOPE_LIMIT)
+            costs[number][(seen < 0.0) | (seen > last)] = _UNSEEN
         return costs
+
+
+def row_slope(image: NDArray[np.uint8]) -> Image:
+    """Return the slope along the rows, grey values per pixel, float32, shape (H, W)."""
+    return np.asarray(cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=_SOBEL_SCALE), dtype=np.float32)
 
 
 def _beyond(value: Image, low: Image, high: Image, limit: float) -> Image:
     """Return how far values lie beyond their interval, in halves of the limit: 0 to 0.5."""
     distance = np.maximum(cv2.subtract(value, high), cv2.subtract(low, value))
     return np.asarray(np.clip(distance, 0.0, limit, out=distance) * np.float32(0.5 / limit))
-
-
-def _slope(image: Image) -> Image:
-    return np.asarray(cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=_SOBEL_SCALE), dtype=np.float32)
 
 
 def _envelope(image: Image) -> tuple[Image, Image]:

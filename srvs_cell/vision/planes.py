@@ -50,12 +50,10 @@ def measure_planes(
     centre_x = np.bincount(runs.label, weights=length * 0.5 * (runs.first + runs.last)) / safe_area
     centre_y = np.bincount(runs.label, weights=length * runs.row) / safe_area
     brightness = np.bincount(runs.label, weights=runs.sums(grey)) / safe_area
-    borders = Borders.of(labels)
-    perimeter = perimeters(borders, count)
-    border = np.flatnonzero(borders.pixels())
-    border_rows, border_columns = np.divmod(border, labels.shape[1])
-    owner = labels.ravel()[border].astype(np.intp)
-    radius = np.hypot(border_columns - centre_x[owner], border_rows - centre_y[owner])
+    windows = BorderWindows.of(labels)
+    perimeter = windows.perimeters(count)
+    owner, rows, columns = windows.pixels()
+    radius = np.hypot(columns - centre_x[owner], rows - centre_y[owner])
     short_cut = np.full(count, np.inf)
     long_cut = np.zeros(count)
     np.minimum.at(short_cut, owner, radius)
@@ -90,54 +88,66 @@ def measure_planes(
 
 
 @dataclass(frozen=True, eq=False)
-class Borders:
-    """Where neighbouring pixels have different labels; beyond the image there is none.
+class BorderWindows:
+    """The windows of 2x2 pixels that hold several labels; beyond the image there is the label -1.
 
     Attributes:
-        framed: the labels in a frame of one pixel of -1.
-        across: whether a pixel differs from its right neighbour, shape (H + 2, W + 1).
-        down: whether a pixel differs from its lower neighbour, shape (H + 1, W + 2).
+        row, column: of each window's last pixel, shape (N,).
+        corners: the labels, clockwise from the first pixel, so that the third is opposite the first, shape (N,) each.
     """
 
-    framed: NDArray[np.int32]
-    across: NDArray[np.bool_]
-    down: NDArray[np.bool_]
+    row: NDArray[np.intp]
+    column: NDArray[np.intp]
+    corners: list[NDArray[np.int32]]
 
     @classmethod
-    def of(cls, labels: NDArray[np.int32]) -> Borders:
-        """Find the borders of a label image, int32, shape (H, W)."""
-        framed = np.pad(labels, 1, constant_values=-1)
-        return cls(framed, framed[:, 1:] != framed[:, :-1], framed[1:] != framed[:-1])
+    def of(cls, labels: NDArray[np.int32]) -> BorderWindows:
+        """Find the windows of a label image, int32, shape (H, W)."""
+        framed = cv2.copyMakeBorder(labels, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(-1,))
+        flat, width = framed.ravel(), framed.shape[1]
+        # a window is mixed where its upper or lower two pixels differ, or its left ones
+        across = flat[1:] != flat[:-1]
+        mixed = flat[width:] != flat[:-width]
+        mixed[:-1] |= across[:-width]
+        mixed[:-1] |= across[width:]
+        first = np.flatnonzero(mixed[:-1])
+        row, column = np.divmod(first, width)
+        # none begins in the last column
+        first, row, column = (each[column < width - 1] for each in (first, row, column))
+        return cls(row, column, [flat[first + step] for step in (0, 1, width + 1, width)])
 
-    def pixels(self) -> NDArray[np.bool_]:
-        """Return the pixels that have a 4-neighbour of another label, or none, shape (H, W)."""
-        beside = self.across[1:-1, 1:] | self.across[1:-1, :-1]
-        beside |= self.down[1:, 1:-1]
-        beside |= self.down[:-1, 1:-1]
-        return np.asarray(beside)
+    def perimeters(self, count: int) -> NDArray[np.float64]:
+        """Return the length of each region's boundary, pixels, shape (count,).
 
+        Every window adds, for each region in it, the length of the boundary that passes through it: 1 where it passes
+        straight, half a diagonal where it cuts one corner, a diagonal where it cuts two.
+        """
+        corners = self.corners
+        same = [corners[number] == corners[number - 1] for number in range(len(corners))]
+        crossed = [corners[number] == corners[number - 2] for number in (0, 1)]
+        total = np.zeros(count + 1)
+        for number, corner in enumerate(corners):
+            opposite = crossed[number % 2].view(np.uint8)
+            members = 1 + same[number].view(np.uint8) + same[number - 3].view(np.uint8) + opposite
+            # what lies beyond the image is counted apart
+            total += np.bincount(corner + 1, weights=_SHARES[opposite, members], minlength=count + 1)
+        return total[1:]
 
-def perimeters(borders: Borders, count: int) -> NDArray[np.float64]:
-    """Return the length of each region's boundary, pixels, shape (count,).
+    def pixels(self) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.intp]]:
+        """Return label, row and column of the pixels that have a 4-neighbour of another label, or none.
 
-    Every window of 2x2 pixels adds, for each region in it, the length of the boundary that passes through it: 1 where
-    it passes straight, half a diagonal where it cuts one corner, a diagonal where it cuts two.
-    """
-    framed, across = borders.framed, borders.across
-    mixed = np.flatnonzero(across[:-1] | across[1:] | borders.down[:, :-1])
-    rows, columns = np.divmod(mixed, across.shape[1])
-    first, width = rows * framed.shape[1] + columns, framed.shape[1]
-    flat = framed.ravel()
-    # clockwise, so that the third is opposite the first
-    corners = [flat[first + step] for step in (0, 1, width + 1, width)]
-    total = np.zeros(count)
-    for number, corner in enumerate(corners):
-        beside, opposite = (corners[number - 3], corners[number - 1]), corner == corners[number - 2]
-        members = 1 + (corner == beside[0]).view(np.uint8) + (corner == beside[1]) + opposite
-        share = _SHARES[opposite.view(np.uint8), members]
-        inside = corner >= 0
-        total += np.bincount(corner[inside], weights=share[inside], minlength=count)
-    return total
+        A pixel is returned once for each such neighbour.
+        """
+        first, right, _, below = self.corners
+        found = []
+        # each side between two pixels is the upper or the left one of one window
+        for other, down, along in ((right, 0, 1), (below, 1, 0)):
+            apart = np.flatnonzero(first != other)
+            row, column = self.row[apart] - 1, self.column[apart] - 1
+            found += [(first[apart], row, column), (other[apart], row + down, column + along)]
+        owner, rows, columns = (np.concatenate(each) for each in zip(*found, strict=True))
+        seen = owner >= 0
+        return owner[seen], rows[seen], columns[seen]
 
 
 def _boxes(runs: RowRuns, count: int) -> list[tuple[int, int, int, int]]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from srvs_cell.vision.parameters import PlaneParameters
-from srvs_cell.vision.planes import Borders, measure_planes, perimeters
+from srvs_cell.vision.planes import BorderWindows, measure_planes
 from srvs_cell.vision.region_growing import grow_regions
 
 GREY = np.full((80, 100), 100, dtype=np.uint8)
@@ -88,7 +88,7 @@ def test_the_perimeter_of_a_turned_square_is_that_of_the_square() -> None:
         labels = np.zeros((120, 120), dtype=np.int32)
         box = cv2.boxPoints(((60.0, 60.0), (60.0, 60.0), angle_deg))
         cv2.fillPoly(labels, [np.rint(box).astype(np.int32)], 1)
-        assert perimeters(Borders.of(labels), 2)[1] == pytest.approx(240.0, rel=0.09)
+        assert BorderWindows.of(labels).perimeters(2)[1] == pytest.approx(240.0, rel=0.09)
 
 
 def test_degenerate_regions_are_rejected_by_each_limit() -> None:
