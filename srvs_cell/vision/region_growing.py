@@ -58,9 +58,9 @@ def grow_regions(
         Labels, int32, shape (H, W), 1 and up; 0 where the image is not valid.
     """
     usable = np.ones(grey.shape, dtype=np.bool_) if valid is None else valid
-    distance = cv2.distanceTransform((usable & ~edges).view(np.uint8), cv2.DIST_L2, 3)
-    labels = np.pad(grow_between_edges(np.asarray(distance, dtype=np.float32)), 1)
-    _grow(labels, np.flatnonzero(np.pad(usable, 1) & (labels == 0)), _EDGE_STEPS)
+    free = (usable & ~edges).view(np.uint8)
+    labels = grow_between_edges(np.asarray(cv2.distanceTransform(free, cv2.DIST_L2, 3), dtype=np.float32))
+    _grow(labels, np.flatnonzero(_framed(usable.view(np.uint8)) & (labels == 0)), _EDGE_STEPS)
     return join_regions(grey, np.ascontiguousarray(labels[1:-1, 1:-1]), edges, parameters)
 
 
@@ -71,7 +71,7 @@ def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.int32]:
         distance_px: distance to the nearest edge, 0 on it, shape (H, W).
 
     Returns:
-        Labels 1 and up, int32, shape (H, W), 0 on edges.
+        Labels 1 and up, int32, in a frame of one pixel, shape (H + 2, W + 2); 0 on edges and frame.
     """
     runs = _LevelRuns.of(distance_px)
     label_of_run = _cores(runs)
@@ -83,7 +83,11 @@ def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.int32]:
     left = np.zeros(0, dtype=np.intp)
     for first, last in itertools.pairwise(bounds.tolist()):
         left = _grow(labels, np.concatenate([left, pixels[first:last]]), _MEETING_STEPS)
-    return labels[1:-1, 1:-1]
+    return labels
+
+
+def _framed(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.copyMakeBorder(image, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,)), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +114,9 @@ class _LevelRuns:
         """Find the runs and their 4-neighbours."""
         # rounded half a unit lower: cut off
         halves = cv2.convertScaleAbs(distance_px, alpha=2.0, beta=_CUT_OFF)
-        framed = np.pad(np.asarray(cv2.LUT(halves, _REACHED_BY), dtype=np.uint8), 1)
+        framed = _framed(np.asarray(cv2.LUT(halves, _REACHED_BY), dtype=np.uint8))
         flat, width = framed.ravel(), framed.shape[1]
-        begin = np.flatnonzero(np.concatenate([[True], flat[1:] != flat[:-1]]))
+        begin = np.append(0, np.flatnonzero(flat[1:] != flat[:-1]) + 1)
         length = np.diff(begin, append=flat.size)
         level = flat[begin]
         run = np.flatnonzero(level)
@@ -184,6 +188,8 @@ def _grow(labels: NDArray[np.int32], pixels: NDArray[np.intp], steps: int) -> ND
     Returns:
         The pixels that were not reached.
     """
+    if not pixels.size:
+        return pixels
     label, width = labels.ravel(), labels.shape[1]
     beside = np.array([[-width], [-1], [1], [width]])
     front = pixels[(label.take(pixels + beside) > 0).any(axis=0)]
