@@ -69,15 +69,16 @@ def check_picture(grey: Image, name: str) -> None:
         AlarmError: IMAGE_UNUSABLE: of one grey, overexposed, or nothing but noise.
     """
     height, width = grey.shape
-    small = cv2.resize(grey.astype(np.float32), (width // _CELL_PX, height // _CELL_PX), interpolation=cv2.INTER_AREA)
-    darkest, brightest = float(small.min()), float(small.max())
+    cells = cv2.resize(grey.astype(np.float32), (width // _CELL_PX, height // _CELL_PX), interpolation=cv2.INTER_AREA)
+    darkest, brightest, *_ = cv2.minMaxLoc(cells)
     if brightest - darkest <= _FLAT_GREY:
         raise AlarmError(
             Alarm.IMAGE_UNUSABLE, f"The {name} image is of one grey: {darkest:.0f} to {brightest:.0f} of 255."
         )
     rows = grey[::_PAIR_STRIDE].astype(np.float32)
-    variance = float(rows.var())
-    of_noise = float(np.mean((rows[:, 1:] - rows[:, :-1]) ** 2)) / 2.0
+    variance = float(cv2.meanStdDev(rows)[1][0, 0]) ** 2
+    steps = cv2.subtract(rows[:, 1:], rows[:, :-1])
+    of_noise = cv2.norm(steps, cv2.NORM_L2SQR) / steps.size / 2.0
     if of_noise > _NOISE_GREY**2 and of_noise > _WHITE * variance:
         raise AlarmError(
             Alarm.IMAGE_UNUSABLE, f"The {name} image is noise: {np.sqrt(of_noise):.0f} grey values from pixel to pixel."

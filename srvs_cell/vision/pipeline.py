@@ -177,7 +177,7 @@ def perceive(
     for grey, name in ((left_grey, "left"), (right_grey, "right")):
         check_picture(grey, name)
     check_different(left_grey, right_grey)
-    valid_left, valid_right, rig = None, None, None
+    pair, valid_left, valid_right, rig = None, None, None, None
     reference, table, relief = None, None, None
     disparity_range = (parameters.min_disparity_px, parameters.max_disparity_px)
     if view is not None:
@@ -187,19 +187,20 @@ def perceive(
         height, width = left_grey.shape
         disparity_range = rig.disparity_range(view.table_z_mm, view.table_z_mm + view.max_height_mm, (width, height))
         steps.done("rectification")
-        if parameters.table.enabled:
-            reference, table = align_table(pair, view.table_z_mm, parameters.table)
-            if table.refusal:
-                check_pair(pair, view.table_z_mm, view.max_height_mm)
-            relief = measure_relief(pair, view.table_z_mm, reference)
-            steps.done("table")
+    smoothed = GreyPair.of(left_grey, right_grey)
+    if view is not None and pair is not None and parameters.table.enabled:
+        reference, table = align_table(pair, view.table_z_mm, parameters.table)
+        if table.refusal:
+            check_pair(pair, view.table_z_mm, view.max_height_mm)
+        relief = measure_relief(pair, smoothed, view.table_z_mm, reference)
+        steps.done("table")
     if early is not None and _usable(early, rig, left_grey):
         left_planes = replace(early.image, grey=left_grey)
     else:
         left_planes = _analyse(left_grey, parameters, valid_left, steps)
     right_planes = _analyse(right_grey, parameters, valid_right, steps)
     seen, disparity_px, ambiguous = _match(
-        left_planes, right_planes, disparity_range, parameters, (valid_left, valid_right), steps
+        left_planes, right_planes, smoothed, disparity_range, parameters, (valid_left, valid_right), steps
     )
     surfaces: tuple[Surface, ...] = ()
     workpieces: tuple[Workpiece, ...] = ()
@@ -276,6 +277,7 @@ def _analyse(grey: Image, parameters: VisionParameters, valid: Mask | None, step
 def _match(
     left: PlaneImage,
     right: PlaneImage,
+    pair: GreyPair,
     disparity_range_px: tuple[float, float],
     parameters: VisionParameters,
     valid: tuple[Mask | None, Mask | None],
@@ -284,7 +286,6 @@ def _match(
     """Match planes and interpolate; returns planes and matches, the dense disparity map and the ambiguous planes."""
     matching = find_matches(left.planes, right.planes, disparity_range_px, parameters.matching)
     steps.done("matching")
-    pair = GreyPair.of(left.grey, right.grey)
     ends = (
         find_row_ends(pair.left, left.labels, len(left.planes), parameters.interpolation, valid[0]),
         find_row_ends(pair.right, right.labels, len(right.planes), parameters.interpolation, valid[1]),

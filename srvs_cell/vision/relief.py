@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.edges import smooth
 from srvs_cell.vision.median import median
 
 if TYPE_CHECKING:
@@ -25,16 +24,16 @@ if TYPE_CHECKING:
     from srvs_cell.calibration import TableReference
     from srvs_cell.geometry import Array
     from srvs_cell.vision.rectification import RectifiedPair
+    from srvs_cell.vision.refinement import GreyPair
 
     Mask = NDArray[np.bool_]
 
 _UP = np.array([0.0, 0.0, 1.0])
-_SMOOTHING_PX = 1.0
 _SPARSE = 3
 """Every so many pixels are enough for a median of the whole picture."""
 _MAD = 1.4826
-_CELLS = (20, 15)
-"""The field of what the table showed is smooth: so many places across and down are enough."""
+_CELL_PX = 32
+"""What the table showed varies slowly: it is computed once for a square of this side."""
 _STRIDE = 12
 """Every so many pixels are enough for what the lens does to the whole picture."""
 _DEGREE = 3
@@ -80,15 +79,18 @@ class Relief:
     valid: Mask
 
 
-def measure_relief(pair: RectifiedPair, table_z_mm: float, reference: TableReference | None) -> Relief:
+def measure_relief(
+    pair: RectifiedPair, smoothed: GreyPair, table_z_mm: float, reference: TableReference | None
+) -> Relief:
     """Lay the right image over the left one by the table's plane and find what rises.
 
     Args:
         pair: rectified images.
+        smoothed: the same, smoothed.
         table_z_mm: height of the table, base frame.
         reference: what the table showed of calibration and poses.
     """
-    left, right = (smooth(image, _SMOOTHING_PX) for image in (pair.left, pair.right))
+    left, right = smoothed.left, smoothed.right
     map_x, map_y = _laid_by_table(pair, table_z_mm, reference)
     laid = cv2.remap(right, map_x, map_y, cv2.INTER_LINEAR)
     kernel = np.ones((_BORDER_PX, _BORDER_PX), np.uint8)
@@ -117,20 +119,19 @@ def _laid_by_table(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return where the right image shows what the left one shows of the table, x and y, shape (H, W) each."""
     height, width = pair.left.shape
+    # cells' middles, one cell beyond the image on either side: between them the map is linear
+    across, down = (_CELL_PX * (np.arange(-1, -(-size // _CELL_PX) + 1) + 0.5) - 0.5 for size in (width, height))
+    x, y = np.meshgrid(across, down)
     a, b, c = pair.rig.plane_disparity(_UP, table_z_mm)
-    column, row = np.arange(width), np.arange(height)[:, None]
-    map_x = _as_float((1.0 - a) * column - c) - _as_float(b * row)
-    map_y = _as_float(np.broadcast_to(row, map_x.shape))
-    if reference is not None and np.any(reference.expected_field):
-        # what the resizing takes for the middles of its cells
-        x, y = (
-            (np.arange(count) + 0.5) * size / count - 0.5 for count, size in zip(_CELLS, (width, height), strict=True)
-        )
-        cells_x, cells_y = np.meshgrid(x, y)
-        fields = reference.basis(cells_x, cells_y, a * cells_x + b * cells_y + c)
-        u, v = (cv2.resize(_as_float(part @ reference.expected_field), (width, height)) for part in fields)
-        map_x -= u
-        map_y += v
+    disparity = a * x + b * y + c
+    seen_x, seen_y = x - disparity, y
+    if reference is not None:
+        u, v = (part @ reference.expected_field for part in reference.basis(x, y, disparity))
+        seen_x, seen_y = seen_x - u, seen_y + v
+    size = (_CELL_PX * across.size, _CELL_PX * down.size)
+    map_x, map_y = (
+        _as_float(cv2.resize(_as_float(seen), size)[_CELL_PX:, _CELL_PX:][:height, :width]) for seen in (seen_x, seen_y)
+    )
     return map_x, map_y
 
 

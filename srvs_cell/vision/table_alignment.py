@@ -37,7 +37,7 @@ _NOISE_FACTOR = 1.6
 _TEXTURED_PX = 0.1
 """A block whose displacement is known better than this has texture."""
 _MOST = 0.5
-_SLACK_PX = (0.5, 0.3, 0.2, 0.15, 0.15)
+_SLACK_PX = (0.5, 0.25, 0.15, 0.15)
 """Displacement that a block may show and its residual may stem from, iteration by iteration."""
 _LOOSE_SIGMA = 3.0
 _MEDIAN_CHI2 = 1.386
@@ -96,11 +96,12 @@ def align_table(
         used, rejected = now.usable, now.rejected
         if used.sum() < parameters.min_blocks:
             break
-        weights = np.linalg.inv(np.linalg.inv(now.information[used]) * now.inflation + _FLOOR_PX**2 * np.eye(2))
-        weighted = weights @ basis[used]
+        weights = _inverse(_inverse(now.information[used]) * now.inflation + _FLOOR_PX**2 * np.eye(2))
         # the sum over blocks and both directions
-        information = np.tensordot(weighted, basis[used], ([0, 1], [0, 1]))
-        vector = information @ field + np.tensordot(weighted, now.displacement[used], ([0, 1], [0, 1]))
+        shown = basis[used].reshape(-1, BASIS)
+        weighted = (weights @ basis[used]).reshape(-1, BASIS)
+        information = weighted.T @ shown
+        vector = information @ field + now.displacement[used].ravel() @ weighted
         reference = prior.measured(information, vector)
     u_px, v_px, sigma_px = _shown(reference, rig)
     _, _, prior_sigma_px = _shown(prior, rig)
@@ -230,7 +231,7 @@ class _Grid:
             _table_disparity(pair.rig, table_z_mm, x_px, y_px),
             slope_mean,
             structure,
-            np.linalg.inv(structure + _RIDGE * (1.0 + trace)[:, None, None] * np.eye(2)),
+            _inverse(structure + _RIDGE * (1.0 + trace)[:, None, None] * np.eye(2)),
         )
 
     def linearised(self, displaced_px: Array, slack_px: float) -> _Linearised:
@@ -267,6 +268,13 @@ class _Grid:
         grid = _as_float(values.reshape(self.shape))
         height, width = self.left.shape
         return _as_float(cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR))
+
+
+def _inverse(matrices: Array) -> Array:
+    """Return the inverses of symmetric matrices, shape (B, 2, 2)."""
+    xx, xy, yy = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    adjoint = np.stack([yy, -xy, -xy, xx], axis=1).reshape(-1, 2, 2)
+    return np.asarray(adjoint / (xx * yy - xy * xy)[:, None, None])
 
 
 def _as_float(values: NDArray[Any]) -> NDArray[np.float32]:

@@ -10,6 +10,7 @@ import pytest
 
 from srvs_cell.vision.face_fit import FaceFit
 from srvs_cell.vision.rectification import RectifiedPair
+from srvs_cell.vision.refinement import GreyPair
 from srvs_cell.vision.relief import Relief, measure_relief, risen, rising_outlines, rising_share
 from srvs_cell.vision.tops import Top, explained_polygons, explainer
 from tests.vision.painted import SIZE, TABLE_Z_MM, Part, cuboid, outline_mm, paint, rig
@@ -28,7 +29,11 @@ def pair_of(parts: list[Part], *, noise: float = 1.0) -> RectifiedPair:
 
 
 def relief_of(parts: list[Part]) -> Relief:
-    return measure_relief(pair_of(parts), TABLE_Z_MM, None)
+    return measured(pair_of(parts))
+
+
+def measured(pair: RectifiedPair) -> Relief:
+    return measure_relief(pair, GreyPair.of(pair.left, pair.right), TABLE_Z_MM, None)
 
 
 def picture(part: Part) -> Array:
@@ -127,10 +132,10 @@ def test_what_one_image_did_not_see_does_not_rise() -> None:
     blind = np.ones_like(pair.left_valid)
     x, y = np.rint(picture(BOX).mean(axis=0)).astype(int)
     blind[y - 90 : y + 90, x - 110 : x + 110] = False
-    relief = measure_relief(RectifiedPair(pair.left, pair.right, blind, pair.right_valid, pair.rig), TABLE_Z_MM, None)
+    relief = measured(RectifiedPair(pair.left, pair.right, blind, pair.right_valid, pair.rig))
     assert not relief.valid[y, x]
     assert risen(relief, [around(BOX, 25.0)]) == [0]
-    assert risen(measure_relief(pair, TABLE_Z_MM, None), [around(BOX, 25.0)])[0] > 300
+    assert risen(measured(pair), [around(BOX, 25.0)])[0] > 300
 
 
 def test_only_what_rises_and_is_not_explained_is_looked_at(both: Relief) -> None:

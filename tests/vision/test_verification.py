@@ -12,6 +12,7 @@ from srvs_cell.scene import UNKNOWN_KIND, PlaneImage
 from srvs_cell.vision.face_fit import EdgeField, FaceFit
 from srvs_cell.vision.recognition import RecognitionParameters, recognise
 from srvs_cell.vision.rectification import RectifiedPair
+from srvs_cell.vision.refinement import GreyPair
 from srvs_cell.vision.relief import measure_relief
 from srvs_cell.vision.tops import Top
 from srvs_cell.vision.verification import verify_tops
@@ -34,7 +35,8 @@ def verified(parts: list[Part], tops: list[Top]) -> tuple[list[Top], list[Array]
     cameras = rig()
     left, right = paint(parts, cameras)
     seen = np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)
-    relief = measure_relief(RectifiedPair(left, right, seen, seen, cameras), TABLE_Z_MM, None)
+    pair = RectifiedPair(left, right, seen, seen, cameras)
+    relief = measure_relief(pair, GreyPair.of(left, right), TABLE_Z_MM, None)
     nothing = np.zeros((SIZE[1], SIZE[0]), np.int32)
     images = (PlaneImage(left, nothing, ()), PlaneImage(right, nothing, ()))
     fields = (EdgeField.of(left), EdgeField.of(right))
@@ -73,7 +75,8 @@ def test_what_rises_and_is_no_figure_comes_out_as_unknown() -> None:
         cv2.fillPoly(bare, [corners], 190, cv2.LINE_AA, 4)
         images.append(bare)
     seen = np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)
-    relief = measure_relief(RectifiedPair(images[0], images[1], seen, seen, cameras), TABLE_Z_MM, None)
+    pair = RectifiedPair(images[0], images[1], seen, seen, cameras)
+    relief = measure_relief(pair, GreyPair.of(*images), TABLE_Z_MM, None)
     left, right, _ = planes([], cameras, images, disparity_noise_px=0.0)
     found = recognise((), left, right, cameras, TABLE_Z_MM, None, None, relief)
     assert UNKNOWN_KIND in {workpiece.kind for workpiece in found}
