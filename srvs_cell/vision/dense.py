@@ -8,7 +8,6 @@ edge quite. Each plane is aligned once more over its own pixels, away from their
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -36,8 +35,6 @@ _VOTE_WEIGHT = 3.0
 """What the share of the pixels around counts, in greatest costs."""
 _VOTES = 3
 _SMALL_WINDOW = (3, 3)
-_ALIGNED_PIXELS = 2000
-"""A surface over a large part of the picture is aligned by more pixels than a region."""
 _NEVER = 100.0
 
 
@@ -69,10 +66,9 @@ def fill_disparity(
     owner = choose_labels(costs, pieces.one, pieces.other, weight, parameters.iterations)[pieces.labels]
     owner = _smooth_borders(owner, of_pixels)
     planes = np.array(surfaces, dtype=np.float64)
-    fine = replace(refinement, max_pixels=_ALIGNED_PIXELS)
     for k, surface in enumerate(surfaces):
         rows, columns = np.nonzero(cv2.erode((owner == k).astype(np.uint8), _ERODED))
-        aligned = align_plane(pair, rows, columns, surface, fine, parameters.roughness_px)
+        aligned = align_plane(pair, rows, columns, surface, refinement, parameters.roughness_px)
         if aligned is not None:
             planes[k] = aligned.plane
     a, b, c = planes.astype(np.float32).T

@@ -30,8 +30,6 @@ _TURNS_DEG = (0.0, _PARTITION_DEG / 2.0)
 _CHANCE_PX = 1.0
 """Votes that a region may lack: along an arc half of the pixels vote for it, give or take where the rows cut it."""
 _KERNEL_SIGMAS = 4.0
-_SPARSE = 2
-"""Every so many pixels are enough for a median of the whole picture."""
 _DIFFERENCE = np.array([-0.5, 0.5], dtype=np.float32)
 _SUM = np.array([1.0, 1.0], dtype=np.float32)
 
@@ -92,7 +90,7 @@ def gradient_2x2(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArr
 def strong_gradient(magnitude: NDArray[np.float32], parameters: EdgeParameters) -> float:
     """Return the least gradient of a strong pixel: above the image's own noise and texture, within the limits."""
     highest = max(parameters.min_gradient, parameters.max_gradient)
-    return min(max(parameters.noise_factor * median(magnitude[::_SPARSE, ::_SPARSE]), parameters.min_gradient), highest)
+    return min(max(parameters.noise_factor * median(magnitude), parameters.min_gradient), highest)
 
 
 def supported(

@@ -139,7 +139,7 @@ class RefinementParameters:
     max_shift_px: Annotated[
         float, Field(gt=0.0, le=20.0, description="an alignment that moves the plane farther is refused")
     ] = 3.0
-    max_pixels: Annotated[int, Field(ge=50, le=1_000_000, description="pixels of a plane that are used")] = 600
+    max_pixels: Annotated[int, Field(ge=50, le=1_000_000, description="pixels of a plane that are used")] = 2000
     min_correlation: Annotated[
         float, Field(ge=-1.0, le=1.0, description="a match whose aligned grey values correlate less is dropped")
     ] = 0.95

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.vision.parameters import PlaneParameters
 
-_LEVELS_PX = (24.0, 16.0, 10.0, 5.0, 2.0, 0.5)
+_LEVELS_PX = (24.0, 16.0, 11.0, 8.0, 5.0, 3.0, 2.0, 1.0, 0.5)
 """The circle's radii; the last level gives every closed region a core, however narrow."""
 _REACHED_BY = np.sum(np.arange(256) >= 2.0 * np.array(_LEVELS_PX)[:, None], axis=0).astype(np.uint8)
 """The number of circles that reach a pixel, by its distance to the nearest edge in half pixels."""
