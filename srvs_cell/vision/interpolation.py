@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from srvs_cell.vision.median import median
 from srvs_cell.vision.runs import RowRuns
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 _SEARCH_PX = 2
 """The grey values' steepest place is sought so far to either side of a row's end."""
 _ITERATIONS = 6
-_CONVERGED_PX = 1e-3
 _SLOPE_SIGMA = 0.1
 """Slopes beyond this are rare (about 60 degrees at half a metre): a narrow plane's slope is held towards 0."""
 _LEAST_SIGMA_PX = 0.02
@@ -155,8 +153,7 @@ def robust_plane(
     share = np.cumsum(weight[order])
     solution = np.array([0.0, 0.0, disparity[order][np.searchsorted(share, 0.5 * share[-1])]])
     residual = disparity - solution[2]
-    narrowest = parameters.max_residual_px / 2.0
-    limit = max(parameters.max_residual_px, _MAD_TO_SIGMA * median(np.abs(residual)))
+    limit = max(parameters.max_residual_px, _MAD_TO_SIGMA * _median(np.abs(residual)))
     effective = weight
     for _ in range(_ITERATIONS):
         # Tukey's weights forget what lies beyond the limit, which narrows to that of the parameters
@@ -164,12 +161,9 @@ def robust_plane(
         weighted = design * effective
         if effective.sum() <= _LEAST_WEIGHT:
             break
-        before = residual
         _, solution, _ = dposv(weighted @ design.T + prior, weighted @ disparity)
         residual = disparity - solution @ design
-        if limit <= narrowest and np.abs(residual - before).max() < _CONVERGED_PX:
-            break
-        limit = max(narrowest, limit / 2.0)
+        limit = max(parameters.max_residual_px / 2.0, limit / 2.0)
     total = float(effective.sum())
     if total > _LEAST_WEIGHT:
         spread = float(np.sqrt(effective @ residual**2 / total))
@@ -178,6 +172,15 @@ def robust_plane(
         sigma = float(parameters.max_residual_px)
     a, b, level = (float(value) for value in solution)
     return (a, b, level - a * middle_x - b * middle_y), sigma
+
+
+def _median(values: Array) -> float:
+    """Return the middle value; of an even number the mean of the two."""
+    middle = values.size // 2
+    if values.size % 2:
+        return float(np.partition(values, middle)[middle])
+    low, high = np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1]
+    return float(low + high) / 2.0
 
 
 def disparity_at(plane: DisparityPlane, x: ArrayLike, y: ArrayLike) -> Array:
