@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dgesv
 
 from srvs_cell.vision.runs import RowRuns
 
@@ -161,7 +161,7 @@ def robust_plane(
         weighted = design * effective
         if effective.sum() <= _LEAST_WEIGHT:
             break
-        _, solution, _ = dposv(weighted @ design.T + prior, weighted @ disparity)
+        _, _, solution, _ = dgesv(weighted @ design.T + prior, weighted @ disparity)
         residual = disparity - solution @ design
         limit = max(parameters.max_residual_px / 2.0, limit / 2.0)
     total = float(effective.sum())

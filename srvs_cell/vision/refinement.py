@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dgesv
 
 from srvs_cell.vision.edges import smooth
 from srvs_cell.vision.median import median
@@ -242,7 +242,7 @@ def align_plane(
         weighted = basis * weight
         normal = (weighted @ basis.T) * np.multiply.outer(moved, moved)
         normal.flat[:: solution.size + 1] += prior
-        _, step, _ = dposv(normal, (weighted @ residual) * moved - prior * (solution - expected))
+        _, _, step, _ = dgesv(normal, (weighted @ residual) * moved - prior * (solution - expected))
         step[:3] *= min(1.0, 1.0 / max(abs(float(step[2])), 1e-9))
         solution = solution + step
         seen, inside = samples.at(solution[:3], design)
