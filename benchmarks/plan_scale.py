@@ -2,7 +2,7 @@
 
     python benchmarks/plan_scale.py
 
-Problems are random with fixed seeds; all times are of one process on one thread.
+Problems are random with fixed seeds; all times are the processor time of one process on one thread.
 """
 
 from __future__ import annotations
@@ -106,9 +106,9 @@ def start_and_target(problem: Problem) -> tuple[tuple[int, ...], tuple[int, ...]
 
 def timed(work: Callable[[], Any]) -> tuple[Any, float]:
     """Return what work gives, and its seconds."""
-    began = time.perf_counter()
+    began = time.process_time()
     result = work()
-    return result, time.perf_counter() - began
+    return result, time.process_time() - began
 
 
 def fewest() -> None:
