@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.outlines import Outlines
+from srvs_cell.vision.outlines import Outlines, newton_steps
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,10 +142,13 @@ class FaceFit:
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """One Gauss-Newton iteration of B figures; distances and whether there is an edge have shape (2, B, N)."""
+    """One Gauss-Newton iteration of B figures; distances and whether there is an edge have shape (2, B, N).
+
+    The covariances, shape (B, 7, 7), are those of edges with a standard deviation of one pixel.
+    """
 
     steps: Array
-    normal_matrices: Array
+    covariances: Array
     distances_px: Array
     found: NDArray[np.bool_]
 
@@ -207,10 +210,7 @@ def _judged(outlines: Outlines, borders: Borders, last: _Linearised) -> list[Fac
     ).sum(axis=1)
     # a sample of a densely sampled outline tells less than one of a sparsely sampled one
     samples_per_one = np.maximum(1.0, borders.x_px.shape[2] * _INDEPENDENT_PX / np.maximum(perimeter_px, 1.0))
-    # what is held has no row: 1 on the diagonal keeps the inverse of the rest
-    held = np.where(outlines.free, 0.0, 1.0)[:, :, None] * np.eye(outlines.free.shape[1])
-    inverse = np.linalg.pinv(last.normal_matrices + held, hermitian=True)
-    covariances = inverse[:, :3, :3] * (noise_px**2 * samples_per_one)[:, None, None]
+    covariances = last.covariances[:, :3, :3] * (noise_px**2 * samples_per_one)[:, None, None]
     rms = np.sqrt(np.mean(distances**2, axis=(0, 2)))
     support = (distances < _SUPPORT_PX).mean(axis=2).min(axis=0)
     return [
@@ -234,12 +234,8 @@ def _linearise(
     weighted = borders.by_parameter * weight[:, :, None, :]
     normal_matrices = (weighted @ np.swapaxes(borders.by_parameter, -1, -2)).sum(axis=0)
     gradients = (weighted @ distance[..., None])[..., 0].sum(axis=0)
-    diagonal = np.einsum("bii->bi", normal_matrices)
-    norm = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    scaled = normal_matrices / (norm[:, :, None] * norm[:, None, :])
-    scaled = scaled + np.where(diagonal > 0.0, _DAMPING, 1.0)[:, :, None] * np.eye(diagonal.shape[1])
-    steps = np.linalg.solve(scaled, (gradients / norm)[..., None])[..., 0] / norm
-    return _Linearised(np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS), normal_matrices, distance, there)
+    steps, covariances = newton_steps(normal_matrices, gradients, _DAMPING)
+    return _Linearised(np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS), covariances, distance, there)
 
 
 def _edges(

@@ -218,6 +218,26 @@ class Outlines:
         return np.stack([cos * u - sin * v, sin * u + cos * v, self.values[:, _SLOPE, None] * u])
 
 
+def newton_steps(normal_matrices: Array, gradients: Array, damping: float) -> tuple[Array, Array]:
+    """Return damped Gauss-Newton steps of B figures and the inverses of their normal matrices.
+
+    Args:
+        normal_matrices: shape (B, 7, 7); what is held has neither row nor column.
+        gradients: shape (B, 7).
+        damping: what is added to the diagonal of each matrix when its parameters are scaled to 1.
+
+    Returns:
+        Steps, shape (B, 7), and inverses, shape (B, 7, 7).
+    """
+    diagonal = np.einsum("bii->bi", normal_matrices)
+    norm = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    # what is held has no row: 1 on the diagonal keeps the inverse of the rest
+    added = np.where(diagonal > 0.0, damping, 1.0)[:, :, None] * np.eye(diagonal.shape[1])
+    inverses = np.linalg.inv(normal_matrices / (norm[:, :, None] * norm[:, None, :]) + added)
+    inverses /= norm[:, :, None] * norm[:, None, :]
+    return (inverses @ gradients[..., None])[..., 0], inverses
+
+
 def _mapped(matrix: Array, vectors: Array) -> Array:
     """Return a 3x3 matrix applied to vectors of shape (3, ...)."""
     mapped: Array = (matrix @ vectors.reshape(3, -1)).reshape(vectors.shape)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srvs_cell.vision.face_fit import FaceFit
-from srvs_cell.vision.outlines import Outlines
+from srvs_cell.vision.outlines import Outlines, newton_steps
 from srvs_cell.vision.profiles import GROUPS, LEVELS, LEVELS_SEEN, USUAL_BLUR_PX, Pictures, Profiles, read_profiles
 
 if TYPE_CHECKING:
@@ -41,12 +41,14 @@ class Effort:
     samples: int = 96
 
 
-SCOUT = Effort((2.0, 2.0, 2.0), 48)
+SCOUT = Effort((2.0, 2.0, 2.0), 36)
 """Shows whether a start leads anywhere: a border twice as wide as the picture's reaches farther."""
 REACH = Effort((2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From a start a few pixels off."""
 SETTLE = Effort((1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From where the edges led."""
+_FOR_BLUR = 48
+"""Samples that tell the blur."""
 _SIDE_SIGMA = 60.0
 """Grey values by which a side face may differ from what lies behind it."""
 _ROBUST_SIGMA = 3.0
@@ -133,7 +135,7 @@ def measure_blur(faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, t
     """Return which blur explains the borders of well known faces best, pixels; the usual one where there are none."""
     if not faces:
         return USUAL_BLUR_PX
-    outlines = Outlines.of(faces, [False] * len(faces), SCOUT.samples, equal_sides=True)
+    outlines = Outlines.of(faces, [False] * len(faces), _FOR_BLUR, equal_sides=True)
     borders = outlines.seen(rig)
 
     def energy(blur_px: float) -> float:
@@ -201,13 +203,7 @@ def _solved(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Ar
     normal = ((moved * steepness[..., None, :]) @ np.swapaxes(moved, -1, -2)).sum(axis=0)
     normal -= np.einsum("lpbg,lqbg->bpq", cross, _solve(own, cross), optimize=True)
     vector = (moved @ pull[..., None])[..., 0].sum(axis=0)
-    diagonal = np.einsum("bii->bi", normal)
-    # what is held has no row: 1 on the diagonal keeps the inverse of the rest
-    norm = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    held = np.where(diagonal > 0.0, _DAMPING, 1.0)
-    scaled = normal / (norm[:, :, None] * norm[:, None, :]) + held[:, :, None] * np.eye(normal.shape[-1])
-    steps = np.linalg.solve(scaled, (vector / norm)[..., None])[..., 0] / norm
-    covariances = np.linalg.inv(scaled) / (norm[:, :, None] * norm[:, None, :])
+    steps, covariances = newton_steps(normal, vector, _DAMPING)
     return np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS), covariances
 
 
