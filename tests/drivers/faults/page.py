@@ -18,7 +18,7 @@ holds of the move under way, *gripper* what the cell knows of it. Where the outc
 `resolve gripper empty|holding` comes first; then `clear` and `reset`. In every row the test also checks that nothing
 moves after the fault has been dealt with: not by itself, and not by resolve and clear. CONNECTION_LOST,
 CONNECTION_TIMEOUT or ROBOT_FAULT may come beside the alarm that is named, from whoever reads the arm's status at the
-same time. A job that goes on (no alarm) needs nobody. Over RS-232 the rows that the carrier has to do with are run.
+same time. A job that goes on (no alarm) needs nobody.
 
 | fault | strikes in | Modbus TCP | RMI | KAREL over TCP | KAREL over RS-232 | note |
 |---|---|---|---|---|---|---|
@@ -37,9 +37,8 @@ def page() -> str:
 
 def _over_serial(fault: Fault) -> str:
     row = fault.strike, fault.when
-    if row not in KAREL_SERIAL:
-        return "-"
-    return "as over TCP" if KAREL_SERIAL[row] == KAREL[row] else _ending(KAREL_SERIAL[row])
+    ending = KAREL_SERIAL[row]
+    return "as over TCP" if ending is not None and ending == KAREL[row] else _ending(ending)
 
 
 def _ending(ending: Ending | None) -> str:

@@ -139,14 +139,9 @@ KAREL: Final = {
 }
 """What the rows end in on the KAREL line protocol: as on RMI, but for its heartbeats and its memory for numbers."""
 
-_ON_THE_WIRE: Final = {
-    "cut", "silence", "half_a_packet", "nonsense", "reply_for_another", "duplicate_reply", "rebooted", "second_client",
-    "robot_heartbeat_frozen", "started_after_a_pause", "pc_heartbeat_frozen",
-}  # fmt: skip
-
 KAREL_SERIAL: Final = {
-    **{row: ending for row, ending in KAREL.items() if row[0] in _ON_THE_WIRE},
+    **KAREL,
     ("cut", "idle"): _SILENT,
     ("cut", "suspended"): _SILENT,
 }
-"""The rows that a carrier has to do with, over RS-232: a line that is cut is silent, nobody says that it has gone."""
+"""Over RS-232: a line that is cut is silent, nobody says that it has gone."""
