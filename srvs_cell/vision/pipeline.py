@@ -54,22 +54,8 @@ MIN_SIDE_PX = 16
 _CHANNELS = 3
 _DIMENSIONS = (2, 3)
 _MILLISECONDS = 1000.0
-_KEPT_BYTES = 31 << 20
 _REUSE_SHIFT_PX = 0.5
 _MOSTLY = 0.5
-
-
-def _keep_freed_memory() -> None:
-    """Let the C library keep what images have taken, instead of handing it back and asking for it anew.
-
-    glibc hands back what lies free beyond twice the largest block that it ever took from the system and gave back, as
-    far as 32 MiB (mallopt(3), M_MMAP_THRESHOLD). A block of that size, never touched, sets this. Without it a tenth of
-    the time goes into pages that the system clears, picture after picture.
-    """
-    np.empty(_KEPT_BYTES, dtype=np.uint8)
-
-
-_keep_freed_memory()
 
 
 @dataclass(frozen=True, eq=False)

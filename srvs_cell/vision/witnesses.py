@@ -56,11 +56,13 @@ class Witnesses:
         by_edges: fitted to the edges.
         by_profiles: fitted to the grey values across the outline.
         inner_px2: by how much the inside is displaced between the pictures, mean square, if the face is as by_profiles.
+        twin: the inclined rectangle that a level one may be, or the other way round; None where that was not asked.
     """
 
     by_edges: FaceFit
     by_profiles: FaceFit
     inner_px2: float
+    twin: Witnesses | None = None
 
     @property
     def is_inclined(self) -> bool:
@@ -84,28 +86,33 @@ class Witnesses:
         """Return the better of both fits: that to the grey values where it is good.
 
         Where they disagree, neither is surer than that. Edges that do not fit well are a weaker witness against the
-        grey values.
+        grey values. A face that may as well be inclined, or level, is no surer than the height of the part.
         """
         edges, profiles = self.by_edges, self.by_profiles
         grey_values = profiles.rms_px <= max(_GOOD_RMS_PX, edges.rms_px)
         weight = 1.0 / (1.0 + (edges.rms_px / _WITNESS_RMS_PX) ** 2) if grey_values else 1.0
         apart_mm = _centre(edges.face) - _centre(profiles.face)
         surer = min((edges, profiles), key=lambda fit: float(np.trace(fit.covariance_mm2)))
-        return replace(
-            profiles if grey_values else edges,
-            rms_px=min(profiles.rms_px, edges.rms_px),
-            covariance_mm2=surer.covariance_mm2 + weight * np.outer(apart_mm, apart_mm),
-        )
+        agreed = profiles if grey_values else edges
+        covariance_mm2 = surer.covariance_mm2 + weight * np.outer(apart_mm, apart_mm)
+        if self.twin is not None:
+            share = self._share(self.twin)
+            higher_mm = self.twin.by_profiles.face.highest_mm - agreed.face.highest_mm
+            covariance_mm2[2, 2] += share / (1.0 + share) * higher_mm**2
+        return replace(agreed, rms_px=min(profiles.rms_px, edges.rms_px), covariance_mm2=covariance_mm2)
 
     def agreed_among(self, rivals: Sequence[Witnesses]) -> FaceFit:
         """Return the same, no surer than how far other figures for this place that suit about as well lie from it."""
         fit = self.agreed()
-        shares = [(self.misfit_px2 / rival.misfit_px2) ** _RIVALRY for rival in rivals]
+        shares = [self._share(rival) for rival in rivals]
         apart_mm = [_centre(rival.agreed().face) - _centre(fit.face) for rival in rivals]
         spread = sum(
             (share * np.outer(one, one) for share, one in zip(shares, apart_mm, strict=True)), np.zeros((3, 3))
         )
         return replace(fit, covariance_mm2=fit.covariance_mm2 + spread / (1.0 + sum(shares)))
+
+    def _share(self, rival: Witnesses) -> float:
+        return min(1.0, self.misfit_px2 / rival.misfit_px2) ** _RIVALRY
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,14 +192,20 @@ class Bench:
         fitted = self.by_edges([face for _, face in others])
         there = [(number, fit) for (number, _), fit in zip(others, fitted, strict=True) if fit is not None]
         improved: set[int] = set()
+        rivals: dict[int, list[Witnesses]] = {number: [best[number]] for number, _ in there}
         for (number, _), other in zip(there, self.by_profiles([fit for _, fit in there]), strict=True):
             if other is None:
                 continue
+            rivals[number].append(other)
             gets_slope = other.is_inclined and not best[number].is_inclined
             gain = _INCLINED_GAIN if gets_slope else _CLEAR_GAIN
             if other.suits_better(best[number], 1.0 if number in improved else gain):
                 best[number] = other
                 improved.add(number)
+        for number, all_of_it in rivals.items():
+            twins = [one for one in all_of_it if one.is_inclined != best[number].is_inclined]
+            twin = min(twins, key=lambda one: one.misfit_px2, default=None)
+            best[number] = replace(best[number], twin=twin)
         return improved
 
 

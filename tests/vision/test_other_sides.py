@@ -144,6 +144,8 @@ def test_a_level_rectangle_that_is_a_wedges_gets_its_slope() -> None:
     level = seen_as(replace(part.face, slope_u=0.0), bench)
     assert level.agreed().face.slope_u == 0.0
     (settled,) = bench.settled([level])
+    assert settled.twin is not None
+    assert not settled.twin.is_inclined
     assert settled.agreed().face.inclination_deg == pytest.approx(part.face.inclination_deg, abs=1.5)
     assert settled.agreed().face.z_mm == pytest.approx(part.face.z_mm, abs=1.5)
 

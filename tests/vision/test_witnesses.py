@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,18 @@ def test_a_rival_that_suits_much_worse_counts_for_nothing() -> None:
 def test_a_rival_whose_inside_is_displaced_counts_less() -> None:
     doubted = both(30.0).agreed_among([both(40.0, inner_px2=0.08)])
     assert doubted.covariance_mm2[2, 2] < VARIANCE_MM2 + 0.1 * 100.0
+
+
+@pytest.mark.parametrize(("twins_rms_px", "doubt_mm"), [(0.2, 7.07), (0.25, 3.8), (2.0, 0.2)])
+def test_a_level_face_that_may_be_inclined_is_no_surer_than_the_parts_height(
+    twins_rms_px: float, doubt_mm: float
+) -> None:
+    inclined = Witnesses(fit(30.0, twins_rms_px, 0.5), fit(30.0, twins_rms_px, 0.5), 0.0)
+    agreed = replace(both(30.0), twin=inclined).agreed()
+    # centres coincide, but the highest corner lies half a length times the slope higher
+    assert agreed.face.slope_u == 0.0
+    assert agreed.covariance_mm2[2, 2] ** 0.5 == pytest.approx(doubt_mm, abs=0.15)
+    assert agreed.covariance_mm2[0, 0] == pytest.approx(VARIANCE_MM2)
 
 
 def test_a_figure_must_suit_clearly_better_and_no_fit_may_speak_against_it() -> None:
