@@ -33,7 +33,8 @@ class Effort:
     """How thoroughly outlines are fitted.
 
     Attributes:
-        widths: of the model's border over the picture's in each iteration; wide ones reach farther.
+        widths: of the model's border over the picture's in each iteration; wide ones reach farther, the last one only
+            judges.
         samples: on each outline, a multiple of 12.
     """
 
@@ -57,6 +58,7 @@ _ROBUST_SHARE = 0.1
 _CAPPED = 2.0
 """A residual counts at most this many times what it may be like noise."""
 _NARROW = 1.0
+"""Width of a model that is the picture's: a face may come to rest."""
 _LEVEL_PASSES = 3
 _SETTLED_PX = 0.02
 """A face whose outline would move by less is where it belongs."""
