@@ -3,7 +3,7 @@
 from srvs_cell.cell.devices import Devices, make_devices
 from srvs_cell.cell.job import Equipment
 from srvs_cell.cell.journal import GripperKnowledge, Journal
-from srvs_cell.cell.packml import WAIT_STATES, Command, Mode, State
+from srvs_cell.cell.packml import WAIT_STATES, Command, Mode, State, leads_there
 from srvs_cell.cell.recorder import RunRecorder
 from srvs_cell.cell.senses import Perceive, Pictures, PlanJob, StereoLook
 from srvs_cell.cell.unit import CommandAnswer, Unit
@@ -24,5 +24,6 @@ __all__ = [
     "State",
     "StereoLook",
     "Unit",
+    "leads_there",
     "make_devices",
 ]

@@ -1,8 +1,9 @@
-"""Step 11d, beyond the paper: rectangles one of whose sides is on a neighbouring line.
+"""Step 11d, beyond the paper: what a rectangle that fits badly may be instead.
 
 The foot of a side face, the edge of a shadow and a frame of print run parallel to the sides of a top face, a few
 pixels beside them. A rectangle that was fitted to such a line has another height or size than the face. Here the
-lines beside each side are found; each makes another rectangle, to be fitted and judged like the first.
+lines beside each side are found; each makes another rectangle, to be fitted and judged like the first. So does the
+slope that a level one may have, and the level one that a slanted one may be.
 """
 
 from __future__ import annotations

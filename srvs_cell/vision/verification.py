@@ -109,7 +109,7 @@ def _rising_tops(
         for fit, edges in zip(rising, by_edges, strict=True)
         if edges is not None and edges.rms_px <= limits.max_rms_px
     ]
-    found = bench.together([edges for edges, _ in there], [fit for _, fit in there])
+    found = bench.together(there)
     places: list[list[Witnesses]] = []
     for both in sorted(bench.settled(found), key=lambda both: both.misfit_px2):
         place = next((one for one in places if share_place(both.agreed(), one[0].agreed())), None)

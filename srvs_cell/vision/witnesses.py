@@ -152,21 +152,18 @@ class Bench:
         faces = [fit.face for fit in fits]
         inclined = [face.slope_u != 0.0 for face in faces]
         seen = fit_profiles(faces, inclined, self.pictures, self.rig, self.table_z_mm)
-        there = [(number, fit) for number, fit in enumerate(seen) if fit is not None and self.possible(fit)]
-        witnesses: list[Witnesses | None] = [None] * len(fits)
-        for number, both in zip(
-            (number for number, _ in there),
-            self.together([fits[number] for number, _ in there], [fit for _, fit in there]),
-            strict=True,
-        ):
-            witnesses[number] = both
-        return witnesses
+        there = {
+            number: (edges, fit)
+            for number, (edges, fit) in enumerate(zip(fits, seen, strict=True))
+            if fit is not None and self.possible(fit)
+        }
+        witnesses = dict(zip(there, self.together(list(there.values())), strict=True))
+        return [witnesses.get(number) for number in range(len(fits))]
 
-    def together(self, by_edges: Sequence[FaceFit], by_profiles: Sequence[FaceFit]) -> list[Witnesses]:
-        """Return faces as both fits see them, with what their insides say."""
-        faces = [fit.face for fit in by_profiles]
-        inner = inner_displacements(faces, self.fields, self.rig, self.pictures.noise)
-        return [Witnesses(*each) for each in zip(by_edges, by_profiles, inner, strict=True)]
+    def together(self, fits: Sequence[tuple[FaceFit, FaceFit]]) -> list[Witnesses]:
+        """Return faces, each fitted to the edges and to the grey values, with what their insides say."""
+        inner = inner_displacements([profiles.face for _, profiles in fits], self.fields, self.rig, self.pictures.noise)
+        return [Witnesses(*both, inner_px2) for both, inner_px2 in zip(fits, inner, strict=True)]
 
     def by_edges(self, faces: Sequence[Face]) -> list[FaceFit | None]:
         """Fit faces to the edges; None where they have none."""

@@ -50,6 +50,11 @@ def three_blocks() -> list[Block]:
     ]
 
 
+def standing(cell: Cell) -> set[tuple[float, float]]:
+    """Return where the blocks stand."""
+    return {(round(block.x_mm, 1), round(block.y_mm, 1)) for block in cell.world.blocks}
+
+
 def seen(world: World, covariance_mm2: np.ndarray[Any, np.dtype[np.float64]] = COVARIANCE_MM2) -> Perception:
     """Return what a perfect eye perceives of the blocks that stand on the table."""
     standing = [block for block in world.blocks if world.held is None or world.held[0] is not block]

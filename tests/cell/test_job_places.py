@@ -11,17 +11,13 @@ from drivers.sim.doubles import Block
 from srvs_cell.cell import Command, Mode
 from srvs_cell.cell.job_places import JobPlaces
 from srvs_cell.planning import PlanningParameters
-from tests.cell.support import ENDS, PARAMETERS, Cell, build, connected, in_step, running, three_blocks
+from tests.cell.support import ENDS, PARAMETERS, Cell, build, connected, in_step, running, standing, three_blocks
 from tests.cell.test_restart import die_in, restarted
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 PLACES = {(block.x_mm, block.y_mm) for block in three_blocks()}
-
-
-def standing(cell: Cell) -> set[tuple[float, float]]:
-    return {(round(block.x_mm, 1), round(block.y_mm, 1)) for block in cell.world.blocks}
 
 
 async def stopped_after_a_move(cell: Cell) -> None:
@@ -55,18 +51,6 @@ async def test_after_a_stop_the_next_job_goes_on_on_the_places(tmp_path: Path) -
         assert standing(cell) == PLACES
         assert cell.unit.snapshot()["unfinished_job"] is None
         assert await became_of_it(cell) == [("continued", {"begun_by": 1, "reason": ""})]
-
-
-async def test_after_a_hold_the_job_goes_on_on_its_places(tmp_path: Path) -> None:
-    async with running(build(tmp_path)) as cell:
-        await connected(cell)
-        await cell.start()
-        await in_step(cell, "pick", moves_done=1)
-        await cell.give(Command.HOLD)
-        await cell.reaches("Held")
-        await cell.give(Command.UNHOLD)
-        assert (await cell.reaches(*ENDS), cell.alarms) == ("Complete", [])
-        assert standing(cell) == PLACES
 
 
 async def test_stopped_again_and_again_it_is_still_the_same_job(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from srvs_cell.cell import Command
-from tests.cell.support import Cell, build, connected, in_step, running
+from tests.cell.support import Cell, build, connected, in_step, running, standing, three_blocks
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -47,17 +47,17 @@ async def test_a_held_cell_looks_again_and_finishes(tmp_path: Path) -> None:
         await in_step(cell, "pick", moves_done=1)
         await cell.give(Command.HOLD)
         await cell.reaches("Held")
-        interrupted = cell.arm.targets[-1]
-        held = cell.world.held
+        places = {(block.x_mm, block.y_mm) for block in three_blocks()}
+        assert cell.world.held is None
+        assert standing(cell) != places, "a part waits in the buffer place"
         await cell.give(Command.UNHOLD)
         await cell.reaches("Complete", "Held", "Stopped", "Aborted")
         assert (cell.state, cell.alarms) == ("Complete", [])
-        assert held is None
+        assert standing(cell) == places
         heights = [block.height_mm for block in sorted(cell.world.blocks, key=lambda block: -block.y_mm)]
         assert heights == sorted(heights, reverse=True)
         later = [event["name"] for event in await cell.journal.history(500) if event["kind"] == "step"]
         assert later.count("observe_left") >= 3 * 2
-        assert interrupted is not None
 
 
 async def hold_with_a_part(cell: Cell) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from fastapi.responses import FileResponse, HTMLResponse, Response
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from srvs_cell.cell.packml import Command, Mode, State, leads_there
+from srvs_cell.cell import Command, Mode, State, leads_there
 
 if TYPE_CHECKING:
     from collections.abc import Callable
