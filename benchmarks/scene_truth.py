@@ -1,4 +1,4 @@
-"""The true disparity of every pixel of a rendered scene's rectified left image, painted from ``truth.json``."""
+"""What ``truth.json`` of a rendered scene says: disparities, outlines, and how well an object's place can be known."""
 
 from __future__ import annotations
 
@@ -12,10 +12,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from srvs_cell.vision import StereoView
     from srvs_cell.vision.rectification import RectifiedRig
 
     Array = NDArray[np.float64]
 
+BAND_PX = 3
+"""The blurred border of a face lies within this."""
+_HALF_SOBEL = np.array([[-0.5, 0.0, 0.5]])
+_NOISE_ALONE = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6.0
+"""White noise keeps its variance, a grey value that changes linearly vanishes (Immerkaer 1996)."""
+_MAD_TO_SIGMA = 1.4826
+_ROUNDING_VARIANCE = 1.0 / 12.0
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 ROUND = 72
 
@@ -85,3 +93,54 @@ def _plane_through(points_px: Array, d: Array) -> Array | None:
 def depth_mm(rig: RectifiedRig, disparity_px: Array | Sequence[float]) -> Array:
     """Return the distance along the optical axis."""
     return np.asarray(rig.f_px * rig.baseline_mm / np.asarray(disparity_px), dtype=np.float64)
+
+
+def position_bound_mm(one: dict[str, Any], left: NDArray[np.uint8], view: StereoView) -> float:
+    """Return the Cramer-Rao bound of an object's position: the least rms 3-D error of any unbiased estimate.
+
+    The face and a band around its border are displaced by (u, v) in both images and by the disparity between them: a
+    constant one for an upright object, whose face is known to be level, else a x + b y + c. Noise is white, of one
+    standard deviation, in both images. What it adds to the squared slopes of the left image, which stand for the true
+    ones, is taken off; what is left is too little where the face hardly shows, and the bound then infinite.
+
+    Args:
+        one: the object, an entry of ``truth.json``.
+        left: the left image as it was taken, uint8, shape (H, W).
+        view: calibration and poses, both exact.
+    """
+    camera_T_base = (view.base_T_tcp_left @ view.calibration.tcp_T_camera).inverse()
+    lens = (view.calibration.camera_matrix, view.calibration.distortion)
+    outline, _ = cv2.projectPoints(camera_T_base.apply(top_outline_mm(one)), np.zeros(3), np.zeros(3), *lens)
+    face = np.zeros(left.shape, np.uint8)
+    cv2.fillPoly(face, [np.rint(outline).astype(np.int32)], 1)
+    square = np.ones((2 * BAND_PX + 1, 2 * BAND_PX + 1), np.uint8)
+    grey = left.astype(np.float64)
+    inside = cv2.erode(face, square) > 0
+    noise2 = (_MAD_TO_SIGMA * np.median(np.abs(cv2.filter2D(grey, -1, _NOISE_ALONE)[inside]))) ** 2
+    noise2 = max(float(noise2), _ROUNDING_VARIANCE)
+    rows, columns = np.nonzero(cv2.dilate(face, square))
+    along, down = (cv2.filter2D(grey, -1, kernel)[rows, columns] for kernel in (_HALF_SOBEL, _HALF_SOBEL.T))
+    shape = np.ones((1, rows.size))
+    if one["kind"] == "wedge":
+        shape = np.stack([shape[0], columns - columns.mean(), rows - rows.mean()])
+    # derivatives of the left and of the right grey value by u, v and the disparity's parameters, by slope
+    by_along = np.vstack([np.ones(rows.size), np.zeros(rows.size), shape])
+    by_down = np.vstack([np.zeros(rows.size), np.ones(rows.size), np.zeros_like(shape)])
+    information = np.zeros((len(by_along), len(by_along)))
+    for sees_disparity in (0.0, -1.0):
+        from_along = by_along * np.append([1.0, 1.0], np.full(len(shape), sees_disparity))[:, None]
+        jacobian = from_along * along + by_down * down
+        # a central difference halves the noise's variance
+        by_noise = 0.5 * noise2 * (from_along @ from_along.T + by_down @ by_down.T)
+        information += (jacobian @ jacobian.T - by_noise) / noise2
+    if np.linalg.eigvalsh(information).min() <= 0.0:
+        return float("inf")
+    base_T_cameras = (view.base_T_tcp_left, view.base_T_tcp_right)
+    baseline_mm = np.linalg.norm(np.subtract(*(pose.translation_mm for pose in base_T_cameras)))
+    place = camera_T_base.apply(np.array(one["position_mm"]))
+    f_px = view.calibration.camera.fx
+    by_pixel = np.eye(3)[:, :2] * place[2] / f_px
+    by_disparity = -place[:, None] * place[2] / (f_px * baseline_mm)
+    by_parameter = np.hstack([by_pixel, by_disparity])
+    covariance = by_parameter @ np.linalg.inv(information)[:3, :3] @ by_parameter.T
+    return float(np.sqrt(np.trace(covariance)))

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 from benchmarks.planes_against_lines import Pair, distorted
-from benchmarks.scene_truth import depth_mm, top_outline_mm, true_disparity
+from benchmarks.scene_truth import depth_mm, position_bound_mm, top_outline_mm, true_disparity
+from srvs_cell.calibration import Calibration, CameraIntrinsics, HandEye
+from srvs_cell.geometry import Transform, Xyzwpr
+from srvs_cell.vision import StereoView
 from tests.vision.painted import SIZE, TABLE_Z_MM, rig
 
 CUBOID = {
@@ -55,6 +59,34 @@ def test_a_round_top_lies_between_corners_and_flats() -> None:
     prism = {**CUBOID, "yaw_deg": None, "size_mm": [40.0, 36.0]}
     radius = np.hypot(*(top_outline_mm(prism)[:, :2] - (470.0, 100.0)).T)
     assert radius == pytest.approx(19.0)
+
+
+@pytest.mark.parametrize(("contrast", "noise"), [(60.0, 2.0), (30.0, 2.0), (30.0, 1.0)])
+def test_the_bound_of_a_place_is_that_of_its_blurred_edges(contrast: float, noise: float) -> None:
+    f_px, depth, baseline_mm, side_px, blur_px = 800.0, 400.0, 30.0, 100.0, 0.8
+    lens = CameraIntrinsics(width=640, height=480, fx=f_px, fy=f_px, cx=320.0, cy=240.0, distortion=(0.0,) * 5)
+    hand_eye = HandEye(xyz_mm=(0.0, 0.0, 0.0), wpr_deg=(0.0, 0.0, 0.0))
+    poses = [Transform.from_xyzwpr("base", "tcp", Xyzwpr(x, 0.0, 450.0, 180.0, 0.0, 0.0)) for x in (0.0, baseline_mm)]
+    view = StereoView(Calibration(camera=lens, hand_eye=hand_eye), poses[0], poses[1], 0.0)
+    side_mm = side_px * depth / f_px
+    top = {
+        "kind": "cuboid",
+        "position_mm": [0.0, 0.0, 50.0],
+        "yaw_deg": 0.0,
+        "size_mm": [side_mm, side_mm],
+        "face_normal": [0.0, 0.0, 1.0],
+    }
+    y, x = np.mgrid[:480, :640].astype(np.float64)
+    inside = [erf((0.5 * side_px - np.abs(at)) / (np.sqrt(2.0) * blur_px)) for at in (x - 320.0, y - 240.0)]
+    grey = 80.0 + contrast * (0.5 + 0.5 * inside[0]) * (0.5 + 0.5 * inside[1])
+    left = np.rint(grey + noise * np.random.default_rng(3).standard_normal(grey.shape)).astype(np.uint8)
+    # two edges of the length of a side across the baseline, as many along it, each in both images
+    squares = 2.0 * side_px * contrast**2 / (2.0 * np.sqrt(np.pi) * blur_px)
+    sigma_px = np.sqrt((noise**2 + 1.0 / 12.0) / squares)
+    by_disparity, by_place = np.sqrt(2.0) * depth**2 / (f_px * baseline_mm), depth / f_px * np.sqrt(0.5)
+    expected = sigma_px * np.sqrt(by_disparity**2 + 2.0 * by_place**2)
+    # central differences see a blurred edge as a tenth flatter
+    assert expected < position_bound_mm(top, left, view) < 1.25 * expected
 
 
 def test_the_distorted_truth_belongs_to_the_distorted_pictures() -> None:
