@@ -43,7 +43,7 @@ MODULES = {
 """Command -> the module whose ``register(app)`` adds it."""
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
-_MISUSES = frozenset({Alarm.CONFIG_INVALID, Alarm.DRIVER_UNKNOWN})
+_MISUSES = frozenset({Alarm.CONFIG_INVALID, Alarm.DRIVER_UNKNOWN, Alarm.PROBLEM_INVALID})
 _CONFIGURED = frozenset({"run", "config"})
 """Commands to which a calibration is a part of the config: starting them again does not mend it."""
 

@@ -118,10 +118,12 @@ def _root(parent: list[int], vertex: int) -> int:
 def goal_is_possible(start: tuple[int, ...], table: ConflictTable, rule: GoalRule) -> bool:
     """Tell whether any arrangement at all is a goal: every object on an allowed place, none too near to another.
 
-    Where looking for one takes too long the answer is yes: the search will find out.
+    Objects that are too near to each other where they were found may stay there. Where looking for one takes too
+    long the answer is yes: the search will find out.
     """
     order = sorted(range(len(start)), key=lambda item: rule.allowed[item].bit_count())
     arrangement = list(start)
+    as_found = table.standing(start)
     looks = 0
 
     def complete(depth: int, standing: int, filled: int) -> bool:
@@ -134,7 +136,8 @@ def goal_is_possible(start: tuple[int, ...], table: ConflictTable, rule: GoalRul
             stays = place == start[item]
             if not rule.allowed[item] >> place & 1 or filled >> place & 1:
                 continue
-            if (not stays and not table.standable[item][place]) or table.blocked_by[item][place] & standing:
+            in_the_way = table.blocked_by[item][place] & (standing & ~as_found if stays else standing)
+            if (not stays and not table.standable[item][place]) or in_the_way:
                 continue
             arrangement[item] = place
             taken = filled | 1 << place & table.single

@@ -9,6 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from srvs_cell.alarms import Alarm, AlarmError
+from srvs_cell.cli.main import run
 from srvs_cell.cli.plan import register
 from tests.planning.problems import instances, problem_file, wire_problem
 
@@ -98,6 +99,11 @@ def test_a_bad_file_is_an_alarm(app: typer.Typer, tmp_path: Path, text: str | No
     assert caught.value.alarm is alarm
     assert words in caught.value.detail
     assert "bad.json" in caught.value.detail
+
+
+def test_a_malformed_problem_is_a_misuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", _write(tmp_path, wire_problem() | {"clearance_mm": -1.0})]) == 2
+    assert "clearance_mm" in capsys.readouterr().err
 
 
 def test_the_shared_file_gives_the_proven_optima(app: typer.Typer) -> None:
