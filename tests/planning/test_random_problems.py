@@ -150,7 +150,23 @@ def test_what_stands_too_near_from_the_beginning_may_stay() -> None:
     assert (answer.status, answer.moves) == (PlanStatus.SOLVED, ())
 
 
-_VALUES = (None, True, -1, 0, 10**30, float("nan"), float("inf"), "", "x", [], {}, [[]], 1e-320, 1e6, 3.7)
+_VALUES: tuple[Any, ...] = (
+    None,
+    True,
+    -1,
+    0,
+    10**30,
+    float("nan"),
+    float("inf"),
+    "",
+    "x",
+    [],
+    {},
+    [[]],
+    1e-320,
+    1e6,
+    3.7,
+)
 
 
 def _paths(data: object, before: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
