@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from drivers.sim.controlled_arm import MotionRefusedError
-from drivers.sim.motion import Motion, MotionLimits, joint_path, linear_path
+from drivers.sim.motion import Motion, MotionLimits, joint_path, joints_path, linear_path
 from drivers.sim.world import pose_matrix, pose_vector
 from drivers.sim.world_model import TIMESTEP_S
 from srvs_cell.geometry import Transform, Xyzwpr
 from srvs_cell.ports import RobotMode
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from drivers.sim.clock_authority import SimTime
     from drivers.sim.kinematics import Kinematics
     from drivers.sim.world import World
@@ -132,6 +134,13 @@ class SimArm:
             self._check_ready()
             goal = Transform.from_xyzwpr("base", "tcp", target).matrix
             self._begin(Motion(joint_path(self._kinematics, self._limits, self._joints_deg, goal, speed_percent)))
+
+    def start_joints(self, target_deg: Sequence[float], speed_percent: float) -> None:
+        """Begin a joint motion to joint angles; raises `MotionRefusedError` where they are beyond their limits."""
+        with self._time.lock:
+            self._check_ready()
+            end_deg = np.array(target_deg)
+            self._begin(Motion(joints_path(self._kinematics, self._limits, self._joints_deg, end_deg, speed_percent)))
 
     def stop(self) -> None:
         """Decelerate to a stand on the path."""

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger("srvs_cell.sim")
 _LEVELS: Final = ("none", "real")
-_WIRES: Final = ("modbus", "rmi", "karel", "karel-serial")
+_PORTED: Final = ("modbus", "rmi", "karel")
+_WIRES: Final = (*_PORTED, "karel-serial")
 _EXIT_FAILED: Final = 1
 _POLL_S: Final = 0.2
 
@@ -46,9 +47,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, help="the same seed gives the same cell")
     parser.add_argument("--speed", type=float, default=20.0, help="how much faster than life while the daemon waits")
     parser.add_argument("--imperfections", choices=_LEVELS, default="real", help="a perfect cell or a real one")
-    parser.add_argument("--wire", choices=_WIRES, default="modbus", help="how the controller is talked to")
-    for wire in ("modbus", "rmi", "karel"):
-        parser.add_argument(f"--{wire}-port", type=int, default=0, help=f"of the wire {wire}; 0 takes a free one")
+    parser.add_argument("--wire", choices=_WIRES, default=None, help="how a daemon talks to the controller")
+    for wire in _PORTED:
+        parser.add_argument(f"--{wire}-port", type=int, default=None, help=f"serves {wire} there; 0 takes a free one")
     parser.add_argument("--robotiq", type=Path, default=None, help="where to link the serial port of a Robotiq gripper")
     parser.add_argument("--calibration-out", type=Path, default=None, help="where to write the calibration file")
     parser.add_argument("--clock-page", type=Path, default=None, help="where to make the clock page")
@@ -92,17 +93,18 @@ def _run(parameters: SimulationParameters, arguments: argparse.Namespace) -> int
         stack.callback(page.close)
         simulation = Simulation(parameters, page)
         write_calibration(simulation.camera, calibration_path)
-        port = {"modbus": arguments.modbus_port, "rmi": arguments.rmi_port}.get(arguments.wire, arguments.karel_port)
-        wired = WIRES[arguments.wire](simulation.arm, simulation.time, port)
+        wired = [WIRES[wire](simulation.arm, simulation.time, port) for wire, port in _wires(arguments).items()]
         camera_server = CameraServer(simulation.stream, simulation.pictures, simulation.time)
         control_server = ControlServer(Control(simulation, wired, camera_server, ended.set))
         stack.callback(simulation.time.close)
         simulation.time.start()
         stack.callback(camera_server.close)
         stack.callback(control_server.close)
-        stack.callback(wired.controller.close)
-        line: dict[str, Any] = {
-            **wired.start(),
+        line: dict[str, Any] = {}
+        for wire in reversed(wired):  # the first one's ``arm`` is the one that is listed
+            stack.callback(wire.controller.close)
+            line |= wire.start()
+        line |= {
             "camera_port": camera_server.start(),
             "control_port": control_server.start(),
             "clock_page": str(page_path),
@@ -122,6 +124,13 @@ def _run(parameters: SimulationParameters, arguments: argparse.Namespace) -> int
                 _LOG.error("The physics has failed: %r", simulation.time.failure)
                 return _EXIT_FAILED
     return 0
+
+
+def _wires(arguments: argparse.Namespace) -> dict[str, int]:
+    """Return the wires that are asked for and their ports, the one for a daemon first; Modbus where none is."""
+    given = {wire: port for wire in _PORTED if (port := getattr(arguments, f"{wire}_port")) is not None}
+    first = arguments.wire or next(iter(given), "modbus")
+    return {first: given.get(first, 0)} | given
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from drivers.sim.truth import truth
 from srvs_cell.ports import RobotMode
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from drivers.sim.camera_server import CameraServer
     from drivers.sim.controllers import WiredController
@@ -36,7 +36,7 @@ class Control:
 
     Args:
         simulation: the cell.
-        wired: its robot controller.
+        wires: its robot controller on each wire; faults of a wire strike the first.
         camera_server: its camera.
         shutdown: ends the simulator.
     """
@@ -44,11 +44,12 @@ class Control:
     def __init__(
         self,
         simulation: Simulation,
-        wired: WiredController,
+        wires: Sequence[WiredController],
         camera_server: CameraServer,
         shutdown: Callable[[], None],
     ) -> None:
-        self._simulation, self._wired, self._shutdown = simulation, wired, shutdown
+        wired = wires[0]
+        self._simulation, self._wires, self._wired, self._shutdown = simulation, wires, wired, shutdown
         self._faults: dict[str, Callable[[dict[str, Any]], None]] = {
             "e_stop": lambda _: simulation.arm.raise_fault(_ESTOP, servo_off=True),
             "arm_fault": lambda request: simulation.arm.raise_fault(str(request.get("text", _FAULT))),
@@ -76,7 +77,8 @@ class Control:
         """
         operation = request.get("op")
         if operation == "truth":
-            return {**truth(self._simulation), "motions_started": self._wired.controller.motions_started}
+            started = sum(wired.controller.motions_started for wired in self._wires)
+            return {**truth(self._simulation), "motions_started": started}
         if operation == "inject":
             self._inject(str(request.get("fault")), request)
             return {"ok": True, "time_s": self._simulation.time.now_s()}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from contextlib import AbstractContextManager
 
     from srvs_cell.geometry import Xyzwpr
@@ -69,6 +70,20 @@ class ControlledArm(Protocol):
 
     def input(self, n: int) -> bool:
         """Read DI[n]."""
+        ...
+
+
+@runtime_checkable
+class JointedArm(Protocol):
+    """An arm that knows its joints, and can be told to move them."""
+
+    @property
+    def joints_deg(self) -> tuple[float, ...]:
+        """J1 to J6, J3 relative to link 2."""
+        ...
+
+    def start_joints(self, target_deg: Sequence[float], speed_percent: float) -> None:
+        """Begin a joint motion to joint angles."""
         ...
 
 

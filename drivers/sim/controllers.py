@@ -78,13 +78,18 @@ def over_modbus(arm: ControlledArm, time: ControllerTime, port: int) -> WiredCon
 
 
 def over_rmi(arm: ControlledArm, time: ControllerTime, port: int) -> WiredController:
-    """Return a controller with R912."""
-    controller = RmiController(arm, time, port)
+    """Return a controller with R912; as on a real one the session's port is the next one, where that is free."""
+    controller = RmiController(arm, time, port, port + 1 if port else 0)
     server = controller.server
 
     def start() -> dict[str, Any]:
         bound = controller.start()
-        return {"rmi_port": bound, "arm": {"driver": "fanuc_rmi", "host": _HOST, "port": bound}}
+        session = server.session_port
+        return {
+            "rmi_port": bound,
+            "rmi_session_port": session,
+            "arm": {"driver": "fanuc_rmi", "host": _HOST, "port": bound},
+        }
 
     def set_fault(fault: RmiFault) -> None:
         server.fault = fault

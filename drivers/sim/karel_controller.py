@@ -12,8 +12,9 @@ from __future__ import annotations
 import re
 import threading
 from importlib.resources import files
-from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final
 
+from drivers.sim.controlled_arm import JointedArm
 from drivers.sim.karel import ABORTED, PAUSED, RUNNING, KarelTask, Pose, shipped_sources
 from drivers.sim.karel_server import KarelWire, TcpCarrier
 from drivers.sim.tp import TpAlarm, TpMachine, load
@@ -39,16 +40,6 @@ _FACILITY: Final = {"MEMO": 7, "TPIF": 9, "SRVO": 11, "INTP": 12, "PRIO": 13, "M
 _NAMED_ALARM: Final = re.compile(r"\b([A-Z]{4})-(\d{3})\b")
 _UNNAMED: Final = 24_999
 _FACILITY_STEP: Final = 1000
-
-
-@runtime_checkable
-class JointedArm(Protocol):
-    """An arm that knows its joints."""
-
-    @property
-    def joints_deg(self) -> tuple[float, ...]:
-        """J1 to J6, J3 relative to link 2."""
-        ...
 
 
 class _Robot(TpArm):

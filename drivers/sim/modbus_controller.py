@@ -32,6 +32,7 @@ _SWITCHED_ON_S: Final = 1.0
 _HOLD_DO: Final = 3
 _RESET_DO: Final = 4
 _OUTPUTS: Final = 512
+_WORDS: Final = 16384
 _JOIN_S: Final = 2.0  # real seconds: simulated time may already stand still
 _MICRO: Final = 1000
 _UO_BITS: Final = 16
@@ -256,13 +257,13 @@ class ModbusController:
         """Return words of the $SNPX_ASG table; what is not assigned reads 0."""
         with self._lock:
             self._scan()
-            return self._words.read(address + 1, count, self._robot)
+            return self._words.read(_first_word(address, count), count, self._robot)
 
     def write_words(self, address: int, values: list[int]) -> None:
         """Set registers through the $SNPX_ASG table; what is not assigned is ignored."""
         with self._lock:
             self._scan()
-            self._words.write(address + 1, values, self._robot)
+            self._words.write(_first_word(address, len(values)), values, self._robot)
 
     def read_coils(self, address: int, count: int) -> list[bool]:
         """Return DO[address + 1] and up."""
@@ -296,10 +297,17 @@ class ModbusController:
         self._robot.catch_up(self._time.now_s())
 
 
+def _first_word(address: int, count: int) -> int:
+    """Return the 1-based number of a word; raises IndexError beyond what $SNPX_ASG can assign."""
+    if address + count > _WORDS:
+        raise IndexError(address)
+    return address + 1
+
+
 def _numbers(address: int, count: int) -> range:
-    """Return the 1-based signal numbers; raises ValueError beyond what the controller has."""
+    """Return the 1-based signal numbers; raises IndexError beyond what the controller has."""
     if address + count > _OUTPUTS:
-        raise ValueError(address)
+        raise IndexError(address)
     return range(address + 1, address + count + 1)
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _HEADER: Final = struct.Struct(">HHHB")
 _ILLEGAL_FUNCTION: Final = 1
+_ILLEGAL_ADDRESS: Final = 2
 _ILLEGAL_VALUE: Final = 3
 _DEVICE_FAILURE: Final = 4
 _EXCEPTION_FLAG: Final = 0x80
@@ -34,11 +35,13 @@ _MOST: Final = {
     _WRITE_WORDS: 123,
 }
 """How many of each one request may be about."""
+_LONGEST: Final = 254
+"""Unit and PDU of the longest packet; one that says it is longer is none."""
 _NONSENSE: Final = b"HTTP/1.1 400 Bad Request\r\n\r\n"
 
 
 class ModbusDevice(Protocol):
-    """What is behind the wire; addresses are 0-based as on the wire. A ValueError is answered as illegal value."""
+    """What is behind the wire; addresses are 0-based as on the wire. An IndexError is answered as illegal address."""
 
     def read_words(self, address: int, count: int) -> list[int]:
         """Return holding registers."""
@@ -100,8 +103,7 @@ class ModbusServer:
         late = b""
         while header := _receive(connection, _HEADER.size):
             transaction, protocol, length, unit = _HEADER.unpack(header)
-            pdu = _receive(connection, length - 1)
-            if protocol != 0 or not pdu:
+            if protocol != 0 or not 1 < length <= _LONGEST or not (pdu := _receive(connection, length - 1)):
                 return
             if unit != self._unit_id:  # a wrong unit id meets silence on the real server too
                 continue
@@ -133,11 +135,13 @@ class ModbusServer:
             return bytes([function]) + self._carry_out(function, pdu[1:])
         except NotImplementedError:
             return bytes([function | _EXCEPTION_FLAG, _ILLEGAL_FUNCTION])
+        except IndexError:
+            return bytes([function | _EXCEPTION_FLAG, _ILLEGAL_ADDRESS])
         except (ValueError, struct.error):
             return bytes([function | _EXCEPTION_FLAG, _ILLEGAL_VALUE])
 
     def _carry_out(self, function: int, data: bytes) -> bytes:
-        """Return the answer's data; raises NotImplementedError or ValueError as `_answer` expects."""
+        """Return the answer's data; raises NotImplementedError, IndexError or ValueError as `_answer` expects."""
         device = self._device
         if function in {_WRITE_COIL, _WRITE_WORD}:
             address, value = struct.unpack(">HH", data)

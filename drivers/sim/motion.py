@@ -139,6 +139,20 @@ def joint_path(
         if kinematics.reaches(target):
             raise MotionRefusedError("MOTN-017 Limit error")
         raise MotionRefusedError("MOTN-018 Position not reachable")
+    return joints_path(kinematics, limits, joints_deg, end_deg, speed_percent)
+
+
+def joints_path(
+    kinematics: Kinematics, limits: MotionLimits, joints_deg: Array, end_deg: Array, speed_percent: float
+) -> Path:
+    """Return the path on which all joints start and stop together, to the joint angles ``end_deg``.
+
+    Raises:
+        MotionRefusedError: an angle is beyond its limits.
+    """
+    low, high = JOINT_LIMITS_DEG.T
+    if ((end_deg < low) | (end_deg > high)).any():
+        raise MotionRefusedError("MOTN-017 Limit error")
     s = np.linspace(0.0, 1.0, _SAMPLES)
     path_joints = joints_deg + s[:, None] * (end_deg - joints_deg)
     poses = kinematics.forward(path_joints)

@@ -10,45 +10,62 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeGuard
+from typing import TYPE_CHECKING, Any, Final
 
-from drivers.sim.controlled_arm import MotionRefusedError
+from drivers.sim.controlled_arm import JointedArm, MotionRefusedError
+from drivers.sim.rmi_instructions import (
+    ASCII,
+    AXES,
+    BAD_COMMAND,
+    BAD_OVERRIDE,
+    BAD_STATE,
+    BAD_TEXT,
+    BAD_VALUE,
+    BUFFER_FULL,
+    CANNOT_EXECUTE,
+    COMMAND_OUT,
+    FAILED,
+    FRAME,
+    IN_HOLD,
+    JOINT_MOVES,
+    JOINTS,
+    LAST_SEQUENCE,
+    MOVES,
+    NO_SERVO,
+    NOT_PAUSED,
+    NOT_RUNNING,
+    PENDANT,
+    POSTURE,
+    SEQUENCE,
+    SINGLE_STEP,
+    TOOL,
+    is_whole,
+    refusal,
+    signal_number,
+    spelled_out,
+)
 from drivers.sim.rmi_server import RmiServer
 from srvs_cell.geometry import Xyzwpr
 
 if TYPE_CHECKING:
-    from drivers.sim.controlled_arm import ControlledArm, ControllerTime
+    from collections.abc import Sequence
 
-_RMIT: Final = 2556928
-(_TOOL, _FRAME) = (_RMIT + n for n in (2, 3))
-(_NO_SERVO, _PENDANT, _NOT_RUNNING, _BAD_COMMAND, _FAILED, _BAD_STATE) = (_RMIT + n for n in (7, 8, 9, 13, 14, 15))
-(_CANNOT_EXECUTE, _BAD_OVERRIDE, _BAD_INSTRUCTION, _BAD_VALUE, _BAD_TEXT) = (_RMIT + n for n in (6, 5, 20, 21, 22))
-(_BAD_POSITION, _IN_HOLD, _COMMAND_OUT, _BUFFER_FULL, _SEQUENCE) = (_RMIT + n for n in (23, 24, 27, 28, 29))
-(_SPEED_TYPE, _SPEED, _TERM_TYPE, _PORT, _SINGLE_STEP, _ASCII) = (_RMIT + n for n in (30, 31, 32, 38, 43, 49))
+    from drivers.sim.controlled_arm import ControlledArm, ControllerTime
 
 _BUFFER: Final = 8
 _SCAN_S: Final = 0.05
 _JOIN_S: Final = 2.0  # real seconds: simulated time may already stand still
-_SIGNALS: Final = 512
-_LAST_SEQUENCE: Final = 2**31 - 1
 _RESET_ALONE: Final = 4
 _RUNNING, _PAUSED, _ABORTED = 0, 1, 2
-_POSTURE: Final = ("Front", "Up", "Left", "Flip", "Turn4", "Turn5", "Turn6")
-_AXES: Final = "XYZWPR"
-_FRAME_KEYS: Final = ("UToolNumber", "UFrameNumber")
 _FRAMES: Final = range(10)
 _TOOLS: Final = range(1, 11)
-_FARTHEST: Final = 1e6
-_SHORT: Final = 2**15 - 1
-_MOVES: Final = {"FRC_LinearMotion", "FRC_LinearRelative", "FRC_JointMotion"}
-_INSTRUCTIONS: Final = _MOVES | {"FRC_WaitTime", "FRC_SetUFrame", "FRC_SetUTool"}
-_SPEED_TYPES: Final = {"FRC_LinearMotion": "mmSec", "FRC_LinearRelative": "mmSec", "FRC_JointMotion": "Percent"}
 _WITHOUT_INITIALIZE: Final = {
     "FRC_Initialize",
     "FRC_GetStatus",
     "FRC_ReadError",
     "FRC_SetOverRide",
     "FRC_ReadCartesianPosition",
+    "FRC_ReadJointAngles",
     "FRC_GetUFrameUTool",
     "FRC_SetUFrameUTool",
     "FRC_Abort",
@@ -85,7 +102,7 @@ class RmiController:
         self.motions_started = 0
         self.abort_takes_s = self.reset_takes_s = 0.0
         self.user_frame, self.user_tool = 0, 1
-        self.posture: dict[str, int] = dict(zip(_POSTURE, (1, 1, 0, 0, 0, 0, 0), strict=True))
+        self.posture: dict[str, int] = dict(zip(POSTURE, (1, 1, 0, 0, 0, 0, 0), strict=True))
         self.major_version = 9
         self.single_step = self.ascii_mode = False
         self.initialize_error = 0
@@ -97,6 +114,7 @@ class RmiController:
         self._next_sequence = 1
         self._queue: deque[dict[str, Any]] = deque()
         self._current: dict[str, Any] | None = None
+        self._settled: list[float] | None = None
         self._wait_until_s = 0.0
         self._lengthy: _Lengthy | None = None
         self._lock = threading.RLock()
@@ -141,15 +159,16 @@ class RmiController:
         """Carry out a packet."""
         with self._lock:
             self._scan()
+            packet = None if packet is None else spelled_out(packet)
             kind, name = ("", "") if packet is None else next(iter(packet.items()))
             if packet is None or kind not in {"Command", "Communication", "Instruction"} or not isinstance(name, str):
-                self.server.send({"Command": "Unknown", "ErrorID": _BAD_TEXT})
+                self.server.send({"Command": "Unknown", "ErrorID": BAD_TEXT})
             elif kind == "Instruction":
                 self._queue_up(name, packet)
             elif kind == "Communication":
                 self._goodbye(name)
             elif self._lengthy is not None:
-                self._answer(name, _COMMAND_OUT)
+                self._answer(name, COMMAND_OUT)
             elif name in {"FRC_Abort", "FRC_Reset"}:
                 self._begin_lengthy(name)
             else:
@@ -157,8 +176,10 @@ class RmiController:
             self._scan()
 
     def _goodbye(self, name: str) -> None:
-        self._end_program()
-        self.server.send({"Communication": name, "ErrorID": 0})
+        known = name == "FRC_Disconnect"
+        if known:
+            self._end_program()
+        self.server.send({"Communication": name, "ErrorID": 0 if known else BAD_COMMAND})
 
     def _command(self, name: str, packet: dict[str, Any]) -> None:
         """Carry out a command and answer it at once."""
@@ -168,6 +189,8 @@ class RmiController:
             "FRC_ReadError": self._errors,
             "FRC_SetOverRide": self._set_override,
             "FRC_ReadCartesianPosition": self._position,
+            "FRC_Pause": self._pause,
+            "FRC_Continue": self._continue,
             "FRC_GetUFrameUTool": self._frames,
             "FRC_SetUFrameUTool": self._set_frames,
             "FRC_ReadDIN": self._read_input,
@@ -175,17 +198,19 @@ class RmiController:
         }
         if self.has_io_port:
             handlers["FRC_ReadIOPort"] = self._read_port
+        if isinstance(self._arm, JointedArm):
+            handlers["FRC_ReadJointAngles"] = self._joints
         if self.has_variables:
             handlers["FRC_ReadVariable"] = self._read_variable
         if name not in handlers:
-            self._answer(name, _BAD_COMMAND)
+            self._answer(name, BAD_COMMAND)
         elif name not in _WITHOUT_INITIALIZE and not self._running:
-            self._answer(name, _NOT_RUNNING)
+            self._answer(name, NOT_RUNNING)
         else:
             try:
                 self._answer(name, 0, **handlers[name](packet))
             except (KeyError, TypeError):
-                self._answer(name, _BAD_TEXT)
+                self._answer(name, BAD_TEXT)
             except ValueError as error:
                 self._answer(name, int(str(error)))
 
@@ -197,12 +222,12 @@ class RmiController:
     def _initialize(self, _: dict[str, Any]) -> dict[str, Any]:
         refusals = (
             (self.initialize_error, self.initialize_error),
-            (self._arm.pendant_enabled, _PENDANT),
-            (not self._arm.servo_on, _NO_SERVO),
-            (self.single_step, _SINGLE_STEP),
-            (str(self._arm.mode) != "AUTO", _BAD_STATE),
-            (self._alarm() is not None, _CANNOT_EXECUTE),
-            (self._running, _BAD_STATE),
+            (self._arm.pendant_enabled, PENDANT),
+            (not self._arm.servo_on, NO_SERVO),
+            (self.single_step, SINGLE_STEP),
+            (str(self._arm.mode) != "AUTO", BAD_STATE),
+            (self._alarm() is not None, CANNOT_EXECUTE),
+            (self._running, BAD_STATE),
         )
         for applies, error_id in refusals:
             if applies:
@@ -228,67 +253,88 @@ class RmiController:
         return {"Count": 1, "ErrorData": "No Error" if alarm is None else alarm.split()[0]}
 
     def _set_override(self, packet: dict[str, Any]) -> dict[str, Any]:
-        if not _is_whole(packet["Value"]) or packet["Value"] not in range(1, 101):
-            raise ValueError(_BAD_OVERRIDE)
+        if not is_whole(packet["Value"]) or packet["Value"] not in range(1, 101):
+            raise ValueError(BAD_OVERRIDE)
         self._arm.override_percent = packet["Value"]
         return {"Value": packet["Value"]}
 
     def _position(self, _: dict[str, Any]) -> dict[str, Any]:
         configuration = {"UToolNumber": self.user_tool, "UFrameNumber": self.user_frame, **self.posture}
-        position = dict(zip(_AXES, (round(value, 4) for value in self._arm.pose.as_tuple()), strict=True))
+        position = dict(zip(AXES, (round(value, 4) for value in self._arm.pose.as_tuple()), strict=True))
         return {
             "TimeTag": round(self._time.now_s() * 1000),
             "Configuration": configuration,
             "Position": {**position, "Ext1": 0.0, "Ext2": 0.0, "Ext3": 0.0},
         }
 
+    def _joints(self, _: dict[str, Any]) -> dict[str, Any]:
+        angles = dict(zip(JOINTS, (round(angle, 3) for angle in self._jointed().joints_deg), strict=True))
+        return {
+            "TimeTag": round(self._time.now_s() * 1000),
+            "JointAngle": {**angles, "J7": 0.0, "J8": 0.0, "J9": 0.0},
+        }
+
+    def _pause(self, _: dict[str, Any]) -> dict[str, Any]:
+        self.pause()
+        return {}
+
+    def _continue(self, _: dict[str, Any]) -> dict[str, Any]:
+        if not self._paused:
+            raise ValueError(NOT_PAUSED)
+        if self._alarm() is not None or self._arm.moving:
+            raise ValueError(BAD_STATE)
+        self._paused = False
+        if self._current is not None and self._current["Instruction"] in MOVES and self._arm.stopped_short:
+            self._start(self._current["Instruction"], self._current)
+        return {}
+
     def _frames(self, _: dict[str, Any]) -> dict[str, Any]:
         return {"UFrameNumber": self.user_frame, "UToolNumber": self.user_tool}
 
     def _set_frames(self, packet: dict[str, Any]) -> dict[str, Any]:
         if self._arm.moving:
-            raise ValueError(_BAD_STATE)
-        if packet["UFrameNumber"] not in _FRAMES or not _is_whole(packet["UFrameNumber"]):
-            raise ValueError(_FRAME)
-        if packet["UToolNumber"] not in _TOOLS or not _is_whole(packet["UToolNumber"]):
-            raise ValueError(_TOOL)
+            raise ValueError(BAD_STATE)
+        if packet["UFrameNumber"] not in _FRAMES or not is_whole(packet["UFrameNumber"]):
+            raise ValueError(FRAME)
+        if packet["UToolNumber"] not in _TOOLS or not is_whole(packet["UToolNumber"]):
+            raise ValueError(TOOL)
         self.user_frame, self.user_tool = packet["UFrameNumber"], packet["UToolNumber"]
         return self._frames(packet)
 
     def _read_input(self, packet: dict[str, Any]) -> dict[str, Any]:
-        n = _signal(packet)
+        n = signal_number(packet)
         return {"PortNumber": n, "PortValue": int(self._arm.input(n))}
 
     def _read_port(self, packet: dict[str, Any]) -> dict[str, Any]:
-        n = _signal(packet)
+        n = signal_number(packet)
         if packet["PortType"] != "DO":
-            raise ValueError(_BAD_VALUE)
+            raise ValueError(BAD_VALUE)
         return {"PortType": "DO", "PortNumber": n, "PortValue": int(self._arm.output(n))}
 
     def _read_variable(self, packet: dict[str, Any]) -> dict[str, Any]:
         name = packet["VariableName"]
         if name != "$RMI_CFG.$ASBN_ENB":
-            raise ValueError(_BAD_VALUE)
+            raise ValueError(BAD_VALUE)
         return {"VariableName": name, "VariableType": "Integer", "VariableValue": int(self.ascii_mode)}
 
     def _write_output(self, packet: dict[str, Any]) -> dict[str, Any]:
         if packet["PortValue"] not in {"ON", "OFF"}:
-            raise ValueError(_BAD_VALUE)
-        self._arm.set_output(_signal(packet), packet["PortValue"] == "ON")
+            raise ValueError(BAD_VALUE)
+        self._arm.set_output(signal_number(packet), packet["PortValue"] == "ON")
         return {"PortNumber": packet["PortNumber"]}
 
     def _begin_lengthy(self, name: str) -> None:
         if name == "FRC_Abort":
             if not self._running:
-                self._answer(name, _FAILED)
+                self._answer(name, FAILED)
                 return
             self._arm.stop()
             self._queue.clear()
-            self._current = None
+            self._current = self._settled = None
             takes_s = self.abort_takes_s
         else:
             if not self._running and self.major_version < _RESET_ALONE:
-                self._answer(name, _NOT_RUNNING)
+                self._answer(name, NOT_RUNNING)
                 return
             takes_s = self.reset_takes_s
         self._lengthy = _Lengthy(name, self._time.now_s() + takes_s)
@@ -308,58 +354,33 @@ class RmiController:
     def _end_program(self) -> None:
         self._running = self._paused = False
         self._queue.clear()
-        self._current = None
+        self._current = self._settled = None
 
     def _queue_up(self, name: str, packet: dict[str, Any]) -> None:
         sequence = packet.get("SequenceID")
-        if not _is_whole(sequence):
-            self.server.send({"Instruction": "Unknown", "SequenceID": 0, "ErrorID": _BAD_TEXT})
+        if not is_whole(sequence):
+            self.server.send({"Instruction": "Unknown", "SequenceID": 0, "ErrorID": BAD_TEXT})
             return
         error_id = self._refuse(name, packet, sequence)
         if error_id:
             # Section 3.3: what was queued goes on, nothing new is taken until a reset.
-            self._hold = self._hold or error_id not in {_NOT_RUNNING, _BUFFER_FULL}
+            self._hold = self._hold or error_id not in {NOT_RUNNING, BUFFER_FULL}
             self.server.send({"Instruction": name, "ErrorID": error_id, "SequenceID": sequence})
             return
-        self._next_sequence = sequence % _LAST_SEQUENCE + 1
+        self._next_sequence = sequence % LAST_SEQUENCE + 1
         self._queue.append(packet)
 
     def _refuse(self, name: str, packet: dict[str, Any], sequence: int) -> int:
         """Return the ErrorID for which an instruction is not queued, 0 where it is."""
         checks = (
-            (_ASCII, not self.ascii_mode),
-            (_NOT_RUNNING, self._running),
-            (_IN_HOLD, not self._hold),
-            (_BUFFER_FULL, len(self._queue) + (self._current is not None) < _BUFFER),
-            (_SEQUENCE, sequence == self._next_sequence),
-            (_BAD_INSTRUCTION, name in _INSTRUCTIONS),
+            (ASCII, not self.ascii_mode),
+            (NOT_RUNNING, self._running),
+            (IN_HOLD, not self._hold),
+            (BUFFER_FULL, len(self._queue) + (self._current is not None) < _BUFFER),
+            (SEQUENCE, sequence == self._next_sequence),
         )
         refused = next((error_id for error_id, passed in checks if not passed), 0)
-        if refused:
-            return refused
-        if name in _MOVES:
-            return self._refuse_move(name, packet)
-        key, error_id, right = {
-            "FRC_WaitTime": ("Time", _BAD_VALUE, _is_real),
-            "FRC_SetUFrame": ("FrameNumber", _FRAME, _is_whole),
-            "FRC_SetUTool": ("ToolNumber", _TOOL, _is_whole),
-        }[name]
-        return 0 if right(packet.get(key)) else error_id
-
-    def _refuse_move(self, name: str, packet: dict[str, Any]) -> int:
-        position, configuration = packet.get("Position"), packet.get("Configuration")
-        if not isinstance(position, dict) or not isinstance(configuration, dict):
-            return _BAD_TEXT
-        # One after the other: a later check may rely on an earlier one.
-        checks = (
-            (_BAD_POSITION, all(_is_real(position.get(axis)) for axis in _AXES)),
-            (_BAD_POSITION, all(_is_whole(configuration.get(key)) for key in (*_POSTURE, *_FRAME_KEYS))),
-            (_BAD_POSITION, all(configuration[key] == value for key, value in self.posture.items())),
-            (_SPEED_TYPE, packet.get("SpeedType") == _SPEED_TYPES[name]),
-            (_SPEED, _is_whole(packet.get("Speed")) and 1 <= packet["Speed"] <= _SHORT),
-            (_TERM_TYPE, packet.get("TermType") in ("FINE", "CNT")),
-        )
-        return next((error_id for error_id, passed in checks if not passed), 0)
+        return refused or refusal(name, packet, self.posture, jointed=isinstance(self._arm, JointedArm))
 
     def _scan_for_ever(self) -> None:
         while not self._closing.is_set():
@@ -370,18 +391,23 @@ class RmiController:
     def _scan(self) -> None:
         """Let the program RMI_MOVE catch up with the present instant."""
         moving = self._arm.moving
-        unfinished = self._current is not None and self._current["Instruction"] in _MOVES and self._arm.stopped_short
+        unfinished = self._current is not None and self._current["Instruction"] in MOVES and self._arm.stopped_short
         halted = self._alarm() is not None or not self._arm.servo_on or (unfinished and not moving)
         if self._running and not self._paused and halted:
             self._fall_into_pause()
-        if self._current is not None and not self._paused and not moving and self._time.now_s() >= self._wait_until_s:
-            done, self._current = self._current, None
+        if self._current is not None and not self._paused and not moving and self._has_waited(self._current):
+            done, self._current, self._settled = self._current, None, None
             name, sequence = done["Instruction"], done["SequenceID"]
             self.server.send({"Instruction": name, "ErrorID": 0, "SequenceID": sequence})
         while self._queue and self._current is None and not self._paused and self._may_begin(self._queue[0]):
             self._current = self._queue.popleft()
             self._begin(self._current)
         self._finish_lengthy()
+
+    def _has_waited(self, packet: dict[str, Any]) -> bool:
+        if packet["Instruction"] == "FRC_WaitDIN":
+            return self._arm.input(packet["PortNumber"]) is (packet["PortValue"] == "ON")
+        return self._time.now_s() >= self._wait_until_s
 
     def _may_begin(self, packet: dict[str, Any]) -> bool:
         """A CNT move does not begin before another instruction follows."""
@@ -390,32 +416,53 @@ class RmiController:
     def _begin(self, packet: dict[str, Any]) -> None:
         name, self._wait_until_s = packet["Instruction"], self._time.now_s()
         if name == "FRC_WaitTime":
-            self._wait_until_s += float(packet.get("Time", 0.0))
+            self._wait_until_s += float(packet["Time"])
         elif name == "FRC_SetUFrame":
             self.user_frame = packet["FrameNumber"]
         elif name == "FRC_SetUTool":
             self.user_tool = packet["ToolNumber"]
-        else:
-            try:
+        elif name in MOVES:
+            self._start(name, packet)
+
+    def _start(self, name: str, packet: dict[str, Any]) -> None:
+        """Let the arm begin a move, or go on with one that was paused."""
+        try:
+            if name in JOINT_MOVES:
+                self._jointed().start_joints(self._target(name, packet["JointAngle"], JOINTS), float(packet["Speed"]))
+            else:
                 self._begin_move(name, packet)
-            except MotionRefusedError as error:
-                self.alarm = str(error)
-                self._fall_into_pause()
+        except MotionRefusedError as error:
+            self.alarm = str(error)
+            self._fall_into_pause()
+        else:
+            self.motions_started += 1
 
     def _begin_move(self, name: str, packet: dict[str, Any]) -> None:
-        configuration, position = packet["Configuration"], [packet["Position"][axis] for axis in _AXES]
-        if configuration.get("UFrameNumber") != self.user_frame:
+        configuration = packet["Configuration"]
+        if configuration["UFrameNumber"] != self.user_frame:
             raise MotionRefusedError("INTP-252 User frame number mismatch")
-        if configuration.get("UToolNumber") != self.user_tool:
+        if configuration["UToolNumber"] != self.user_tool:
             raise MotionRefusedError("INTP-253 Tool frame number mismatch")
-        if name == "FRC_LinearRelative":
-            position = [a + b for a, b in zip(self._arm.pose.as_tuple(), position, strict=True)]
-        target = Xyzwpr(*position)
-        if name == "FRC_JointMotion":
-            self._arm.start_joint(target, float(packet["Speed"]))
+        target, speed = Xyzwpr(*self._target(name, packet["Position"], AXES)), float(packet["Speed"])
+        if name.startswith("FRC_Joint"):
+            self._arm.start_joint(target, speed)
         else:
-            self._arm.start_linear(target, float(packet["Speed"]))
-        self.motions_started += 1
+            self._arm.start_linear(target, speed)
+
+    def _target(self, name: str, values: dict[str, Any], keys: Sequence[str]) -> list[float]:
+        """Return where a move ends; that of a relative one is settled when it begins, and holds after a pause."""
+        target = [float(values[key]) for key in keys]
+        if "Relative" in name:
+            here = self._arm.pose.as_tuple() if keys == AXES else self._jointed().joints_deg
+            if self._settled is None:
+                self._settled = [a + b for a, b in zip(here, target, strict=True)]
+            return self._settled
+        return target
+
+    def _jointed(self) -> JointedArm:
+        if not isinstance(self._arm, JointedArm):
+            raise TypeError(self._arm)
+        return self._arm
 
     def _fall_into_pause(self) -> None:
         self._paused = True
@@ -427,20 +474,3 @@ class RmiController:
 
     def _servo_ready(self) -> bool:
         return self._arm.servo_on and not (self._arm.fault or "").startswith("SRVO")
-
-
-def _is_whole(value: object) -> TypeGuard[int]:
-    """Whether a value is an integer of 32 bits; JSON's true is none."""
-    return isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _LAST_SEQUENCE
-
-
-def _is_real(value: object) -> TypeGuard[float]:
-    """Whether a value is a number that a coordinate or a time can be; NaN, which JSON libraries read, is none."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _FARTHEST
-
-
-def _signal(packet: dict[str, Any]) -> int:
-    n = packet["PortNumber"]
-    if not _is_whole(n) or not 1 <= n <= _SIGNALS:
-        raise ValueError(_PORT)
-    return n

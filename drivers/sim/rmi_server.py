@@ -9,17 +9,21 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+import threading
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from drivers.sim.one_client import OneClient
+from drivers.sim.rmi_instructions import ALREADY_CONNECTED, BAD_COMMAND, BAD_TEXT
 
 if TYPE_CHECKING:
     from drivers.sim.controlled_arm import HoldableTime
 
-_ALREADY_CONNECTED: Final = 2556954
 _NONSENSE: Final = b"HTTP/1.1 400 Bad Request\r\n\r\n"
 _PIECE: Final = 4096
+_CONNECT_S: Final = 30.0
+"""Real seconds for a client's first line."""
+
 _LONGEST_LINE: Final = 8192
 """Longer than any packet of the manual; who sends more without an end is hung up on."""
 
@@ -62,6 +66,7 @@ class RmiServer:
             to a port that does not answer, as a controller was seen to do.
         redirect: whether the reply to ``FRC_Connect`` names the session's port.
         received: names of all packets, in order.
+        session_port: where a session is held; the wish for one until it listens.
     """
 
     def __init__(self, device: RmiDevice, time: HoldableTime, port: int, session_port: int) -> None:
@@ -70,14 +75,19 @@ class RmiServer:
         self.refuses_second = False
         self.redirect = True
         self.received: list[str] = []
-        self._device, self._time, self._port, self._session_port = device, time, port, session_port
+        self.session_port = session_port
+        self._device, self._time, self._port = device, time, port
         self._fillers: list[socket.socket] = []
         self._client = OneClient("RMI double")
 
     def start(self) -> int:
         """Listen; return the port for ``FRC_Connect``."""
-        self._session_port = self._client.listen(self._session_port, lambda one: self._client.take(one, self._serve))
-        return self._client.listen(self._port, self._welcome)
+        first = self._client.listen(self._port, self._welcome)
+        try:
+            self.session_port = self._client.listen(self.session_port, self._take)
+        except OSError:  # somebody else's; the reply to FRC_Connect names another one
+            self.session_port = self._client.listen(0, self._take)
+        return first
 
     def close(self) -> None:
         """Close everything and wait for the threads."""
@@ -124,21 +134,31 @@ class RmiServer:
         """Send any bytes to whoever holds the session."""
         self._client.send(data)
 
-    def _welcome(self, connection: socket.socket) -> None:
-        """Answer ``FRC_Connect`` on the first port, and close it."""
-        with connection, contextlib.suppress(OSError, ValueError, RecursionError):  # whoever sends no line
-            line = connection.makefile("rb").readline(_LONGEST_LINE)
-            packet = json.loads(line)
-            asked = isinstance(packet, dict) and next(iter(packet.items()), None)
-            if asked == ("Communication", "FRC_Connect") and self.fault is not RmiFault.DEAF:
-                connection.sendall(json.dumps(self._reply_to_connect()).encode() + b"\r\n")
+    def _take(self, connection: socket.socket) -> None:
+        self._client.take(connection, self._serve)
 
-    def _reply_to_connect(self) -> dict[str, Any]:
+    def _welcome(self, connection: socket.socket) -> None:
+        """Answer ``FRC_Connect`` on the first port, and close it; whoever says nothing keeps nobody else waiting."""
+        connection.settimeout(_CONNECT_S)
+        threading.Thread(target=self._greet, args=(connection,), name="RMI double, first port", daemon=True).start()
+
+    def _greet(self, connection: socket.socket) -> None:
+        with connection, contextlib.suppress(OSError):  # whoever sends no line, or has gone
+            packet = _packet(connection.makefile("rb").readline(_LONGEST_LINE))
+            if self.fault is not RmiFault.DEAF:
+                connection.sendall(json.dumps(self._reply_to_greeting(packet)).encode() + b"\r\n")
+
+    def _reply_to_greeting(self, packet: dict[str, Any] | None) -> dict[str, Any]:
+        kind, name = ("", "") if packet is None else next(iter(packet.items()))
+        if kind != "Communication":
+            return {"Command": "Unknown", "ErrorID": BAD_TEXT}
+        if name != "FRC_Connect":  # FRC_Connect_STMO needs an option that is not here
+            return {"Communication": name, "ErrorID": BAD_COMMAND}
         held = self._client.connected
         if held and self.refuses_second:
-            return {"Communication": "FRC_Connect", "ErrorID": _ALREADY_CONNECTED}
+            return {"Communication": "FRC_Connect", "ErrorID": ALREADY_CONNECTED}
         major, minor = self._device.version()
-        port = self._dead_port() if held else self._session_port
+        port = self._dead_port() if held else self.session_port
         redirect = {"PortNumber": port} if self.redirect else {}
         return {
             "Communication": "FRC_Connect",
@@ -160,20 +180,26 @@ class RmiServer:
     def _serve(self, connection: socket.socket) -> None:
         rest = b""
         while (piece := connection.recv(_PIECE)) and len(rest) <= _LONGEST_LINE:
-            *lines, rest = (rest + piece).split(b"\r\n")
+            *lines, rest = (rest + piece).split(b"\n")
             for line in lines:
                 with self._time.hold():
                     self._hand_over(line)
 
     def _hand_over(self, line: bytes) -> None:
-        try:
-            packet = json.loads(line)
-        except (ValueError, RecursionError):
-            packet = None
-        if not isinstance(packet, dict) or not packet:
-            packet = None
+        packet = _packet(line)
         name = "?" if packet is None else str(next(iter(packet.values())))
         self.received.append(name)
         if self.fault is RmiFault.DEAF and self.fault_at in {None, name}:
             return
         self._device.take(packet)
+
+
+def _packet(line: bytes) -> dict[str, Any] | None:
+    """Return the packet of a line without its LF; None where it does not end with CR and is no JSON object."""
+    if not line.rstrip(b"\n").endswith(b"\r"):
+        return None
+    try:
+        packet = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return packet if isinstance(packet, dict) and packet else None

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 _OUTPUTS, _INPUTS = 0x03E8, 0x07D0
 _WORDS: Final = 3
 _READ_WORDS, _READ_INPUTS, _WRITE_WORDS, _READ_WRITE = 3, 4, 16, 23
-_ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS = 1, 2
+_ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3
+_MOST: Final = 125
 _ACT, _GTO, _ATR, _ARD = 0x01, 0x08, 0x10, 0x20
 _RESET, _ACTIVATING, _ACTIVE = 0, 1, 3
 _EARLY, _NOT_ACTIVATED, _UNHEARD = 0x05, 0x07, 0x09
@@ -149,33 +150,49 @@ class RobotiqDouble:
         """Carry out a request; return the answer, or an exception."""
         with self._hold(), self._lock:
             function = pdu[0]
-            if function in {_READ_WORDS, _READ_INPUTS}:
-                answer = self._read(pdu)
-            elif function == _WRITE_WORDS:
-                answer = pdu[:5] if self._write(pdu[1:]) else bytes([function | 0x80, _ILLEGAL_ADDRESS])
-            elif function == _READ_WRITE:
-                answer = self._read(pdu) if self._write(pdu[5:]) else bytes([function | 0x80, _ILLEGAL_ADDRESS])
-            else:
-                answer = bytes([function | 0x80, _ILLEGAL_FUNCTION])
+            try:
+                if function in {_READ_WORDS, _READ_INPUTS}:
+                    answer = self._read(pdu)
+                elif function == _WRITE_WORDS:
+                    self._write(pdu[1:])
+                    answer = pdu[:5]
+                elif function == _READ_WRITE:
+                    self._read(pdu)  # refused before anything is written
+                    self._write(pdu[5:])
+                    answer = self._read(pdu)
+                else:
+                    answer = bytes([function | 0x80, _ILLEGAL_FUNCTION])
+            except IndexError:
+                answer = bytes([function | 0x80, _ILLEGAL_ADDRESS])
+            except ValueError:
+                answer = bytes([function | 0x80, _ILLEGAL_VALUE])
             self._heard_at_s = self._now_s()
             return answer
 
     def _read(self, pdu: bytes) -> bytes:
+        """Return the answer; raises as `_check_range`."""
         first, count = (int.from_bytes(pdu[at : at + 2], "big") for at in (1, 3))
-        for start, words in ((_INPUTS, self._inputs()), (_OUTPUTS, self._outputs)):
-            if count and start <= first and first + count <= start + _WORDS:
-                data = b"".join(word.to_bytes(2, "big") for word in words[first - start : first - start + count])
-                return bytes([pdu[0], len(data)]) + data
-        return bytes([pdu[0] | 0x80, _ILLEGAL_ADDRESS])
+        start, words = (_OUTPUTS, self._outputs) if first < _INPUTS else (_INPUTS, self._inputs())
+        _check_range(first - start, count)
+        data = b"".join(word.to_bytes(2, "big") for word in words[first - start : first - start + count])
+        return bytes([pdu[0], len(data)]) + data
 
-    def _write(self, block: bytes) -> bool:
-        """Take address, number of words, number of bytes and the words; refuse what does not fit the outputs."""
+    def _write(self, block: bytes) -> None:
+        """Take address, number of words, number of bytes and the words; raises as `_check_range`."""
         first, count = int.from_bytes(block[:2], "big") - _OUTPUTS, int.from_bytes(block[2:4], "big")
         data = block[5:]
-        if first < 0 or not count or first + count > _WORDS or not len(data) == block[4] == 2 * count:
-            return False
+        if len(data) != 2 * count or list(block[4:5]) != [len(data)]:
+            raise ValueError(len(data))
+        _check_range(first, count)
         self._outputs[first : first + count] = [
             int.from_bytes(data[at : at + 2], "big") for at in range(0, len(data), 2)
         ]
         self._command(self._outputs)
-        return True
+
+
+def _check_range(first: int, count: int) -> None:
+    """Raise ValueError for a number of words that no request may have, IndexError for words that are not there."""
+    if not 0 < count <= _MOST:
+        raise ValueError(count)
+    if first < 0 or first + count > _WORDS:
+        raise IndexError(first)

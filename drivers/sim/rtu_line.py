@@ -1,7 +1,7 @@
 """A Modbus RTU device's end of a pseudo-terminal, with faults on demand.
 
 Written from "Modbus over serial line" V1.02, with its own framing and checksum: it shares no code with what talks to
-it. Requests are told apart by their length, which the function code gives, and by silence.
+it. Requests are told apart by their length, where the function code gives it, and by silence.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ _BITS: Final = 8
 _LEAST: Final = 4
 _DEVICE_FAILURE: Final = 4
 _FIXED_LENGTH: Final = 8
-_COUNTED: Final = {16: 6, 23: 10}
+_FIXED: Final = range(1, 7)
+"""Functions whose requests have the fixed length; a request of one that is not counted either ends with a silence."""
+_COUNTED: Final = {15: 6, 16: 6, 23: 10}
 """Function -> where in the request the number of data bytes stands."""
 _NONSENSE: Final = b"\r\nlogin: "
 
@@ -96,8 +98,8 @@ class RtuLine:
             if ended in ready:
                 os.close(ended)
                 return
-            if not ready:  # a silence ends a frame, also one that is not whole
-                buffer = b""
+            if not ready:  # a silence ends a frame: one of an unknown length, or one that is not whole
+                late, buffer = self._take(buffer, late) if len(buffer) >= _LEAST else late, b""
                 continue
             with contextlib.suppress(OSError):  # EIO: nobody has the other end open
                 buffer += os.read(self._ours, _PIECE)
@@ -141,7 +143,7 @@ def _request_length(buffer: bytes) -> int:
     """Return how long the request is that a buffer begins with, checksum included; 0 where that cannot be told yet."""
     if len(buffer) < _LEAST:
         return 0
-    at = _COUNTED.get(buffer[1])
-    if at is None:
+    if buffer[1] in _FIXED:
         return _FIXED_LENGTH
+    at = _COUNTED.get(buffer[1], len(buffer))
     return at + 1 + buffer[at] + 2 if len(buffer) > at else 0

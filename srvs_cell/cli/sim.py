@@ -26,17 +26,20 @@ def sim(
         str, typer.Option("--imperfections", help="Of the simulated cell: real or none.")
     ] = "real",
     wire: Annotated[
-        str, typer.Option("--wire", help="How the controller is talked to: modbus, rmi, karel or karel-serial.")
-    ] = "modbus",
+        str | None,
+        typer.Option("--wire", help="How a daemon talks to the controller: modbus, rmi, karel or karel-serial."),
+    ] = None,
     modbus_port: Annotated[
-        int, typer.Option("--modbus-port", min=0, max=_LAST_PORT, help="Port of the controller; 0: any free one.")
-    ] = 0,
+        int | None,
+        typer.Option("--modbus-port", min=0, max=_LAST_PORT, help="Serve Modbus TCP there; 0: any free port."),
+    ] = None,
     rmi_port: Annotated[
-        int, typer.Option("--rmi-port", min=0, max=_LAST_PORT, help="The same, where the wire is rmi.")
-    ] = 0,
+        int | None,
+        typer.Option("--rmi-port", min=0, max=_LAST_PORT, help="The same with RMI; its session is on the next port."),
+    ] = None,
     karel_port: Annotated[
-        int, typer.Option("--karel-port", min=0, max=_LAST_PORT, help="The same, where the wire is karel.")
-    ] = 0,
+        int | None, typer.Option("--karel-port", min=0, max=_LAST_PORT, help="The same with the KAREL line protocol.")
+    ] = None,
     robotiq: Annotated[
         Path | None,
         typer.Option("--robotiq", metavar="PTY", help="Let the gripper be a Robotiq; its serial port is linked there."),
@@ -52,17 +55,28 @@ def sim(
         typer.Option("--folder", help="Make cell.yaml, calibration.yaml and clock there: all that 'run' needs."),
     ] = None,
 ) -> None:
-    """Run the simulated cell on the loopback until Ctrl-C; prints one JSON line: what listens where."""
+    """Run the simulated cell on the loopback until Ctrl-C; prints one JSON line: what listens where.
+
+    Several wires may be served at once; Modbus TCP where none is asked for.
+    """
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         clock_page = clock_page or folder.resolve() / "clock"
         calibration_out = folder / CALIBRATION_FILE
     arguments = ["--objects", str(objects), "--seed", str(seed), "--speed", str(speed)]
-    arguments += ["--imperfections", imperfections, "--wire", wire, "--modbus-port", str(modbus_port)]
-    arguments += ["--rmi-port", str(rmi_port), "--karel-port", str(karel_port)]
-    for option, path in (("--clock-page", clock_page), ("--calibration-out", calibration_out), ("--robotiq", robotiq)):
-        if path is not None:
-            arguments += [option, str(path)]
+    arguments += ["--imperfections", imperfections]
+    chosen = {
+        "--wire": wire,
+        "--modbus-port": modbus_port,
+        "--rmi-port": rmi_port,
+        "--karel-port": karel_port,
+        "--clock-page": clock_page,
+        "--calibration-out": calibration_out,
+        "--robotiq": robotiq,
+    }
+    for option, value in chosen.items():
+        if value is not None:
+            arguments += [option, str(value)]
     process, listens = start_simulator(arguments)
     try:
         if folder is not None:

@@ -83,10 +83,10 @@ def _signals(port: int) -> str:
 
 def _exceptions(port: int) -> str:
     address = _run(["mbpoll", "-m", "tcp", "-p", str(port), "-a", "1", "-1", "-t", "1", "-r", "600", "127.0.0.1"])
-    assert "Illegal data value" in address, address
+    assert "Illegal data address" in address, address
     function = _run(["mbpoll", "-m", "tcp", "-p", str(port), "-a", "1", "-1", "-t", "3", "127.0.0.1"])
     assert "Illegal function" in function, function
-    return "is told illegal value and illegal function"
+    return "is told illegal address and illegal function"
 
 
 def _move(port: int) -> str:

@@ -87,3 +87,24 @@ def test_what_contradicts_itself_is_an_illegal_value_and_writes_nothing(
     answer = ask(port, struct.pack(">HHHB", 9, 0, len(pdu) + 1, 1) + pdu)
     assert answer == struct.pack(">HHHBBB", 9, 0, 3, 1, pdu[0] | 0x80, 3)
     assert ask(port, struct.pack(">HHHBBHH", 1, 0, 6, 1, 1, 0, 8)) == before
+
+
+@pytest.mark.parametrize(
+    "pdu",
+    [
+        struct.pack(">BHH", 3, 16380, 5),  # one word more than there are
+        struct.pack(">BHH", 3, 65535, 2),
+        struct.pack(">BHH", 6, 16384, 7),
+        struct.pack(">BHHBH", 16, 16384, 1, 2, 7),
+        struct.pack(">BHH", 1, 505, 8),
+        struct.pack(">BHH", 2, 512, 1),
+        struct.pack(">BHH", 5, 512, 0xFF00),
+        struct.pack(">BHHBB", 15, 508, 8, 1, 255),
+    ],
+)
+def test_what_is_beyond_the_last_one_is_an_illegal_address(double: tuple[ModbusController, int], pdu: bytes) -> None:
+    _, port = double
+    answer = ask(port, struct.pack(">HHHB", 9, 0, len(pdu) + 1, 1) + pdu)
+    assert answer == struct.pack(">HHHBBB", 9, 0, 3, 1, pdu[0] | 0x80, 2)
+    last = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 16383, 1)
+    assert ask(port, last) == struct.pack(">HHHBBBH", 1, 0, 5, 1, 3, 2, 0)

@@ -78,7 +78,11 @@ def test_what_it_does_not_know_is_answered_with_an_exception_and_what_is_not_for
         ("09 06 03 E8 01 00", "09 86 01"),
         ("09 04 07 D0 00 04", "09 84 02"),
         ("09 10 03 E7 00 01 02 01 00", "09 90 02"),
-        ("09 10 03 E8 00 03 02 01 00", "09 90 02"),
+        ("09 10 03 E8 00 03 02 01 00", "09 90 03"),
+        ("09 03 07 D0 00 00", "09 83 03"),
+        ("09 0F 03 E8 00 08 01 FF", "09 8F 01"),
+        ("09 11", "09 91 01"),
+        ("09 16 03 E8 00 F2 00 25", "09 96 01"),
     ):
         frame = bytes.fromhex(request)
         assert b.ask((frame + checksum(frame)).hex()).startswith(answer)

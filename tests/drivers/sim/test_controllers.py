@@ -91,7 +91,7 @@ def test_a_heartbeat_is_frozen_where_there_is_one(wire: str, nothing: SimpleName
     time = SteppedTime()
     wired = WIRES[wire](PointArm(time), time, 0)
     wired.start()
-    control = Control(nothing, wired, nothing, lambda: None)  # type: ignore[arg-type]
+    control = Control(nothing, [wired], nothing, lambda: None)  # type: ignore[arg-type]
     freeze = {"op": "inject", "fault": "heartbeat", "on": False}
     try:
         if wire == "rmi":

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-import serial
 
 from drivers.sim.robotiq_fingers import ENDS, FASTEST, Contact, WorldFingers
 from tests.drivers.sim.stepping import above, go, grasp_pose, make_simulation, pass_time
-from tests.drivers.sim.test_cell import running
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,15 +37,3 @@ def test_they_feel_what_stands_between_them_and_nothing_where_nothing_stands(tmp
     fingers.stand()
     go(simulation, above(grasp_pose(simulation, 0)), 200.0)
     assert world.held_part() == 0
-
-
-def test_the_simulated_cell_links_the_grippers_port_while_it_runs(tmp_path: Path) -> None:
-    link = tmp_path / "gripper"
-    with running("--objects", "1", "--imperfections", "none", "--robotiq", str(link)) as (line, ask, process):
-        assert line["robotiq"] == str(link)
-        with serial.Serial(str(link), 115200, timeout=10.0) as port:
-            port.write(bytes.fromhex("09 04 07 D0 00 03 B1 CE"))
-            assert port.read(3) == bytes.fromhex("09 04 06")
-        assert ask(op="shutdown") == {"ok": True}
-        assert process.wait(20) == 0
-    assert not link.is_symlink()
