@@ -51,7 +51,7 @@ class Tee:
 async def record(wire: str) -> None:
     """Record one wire."""
     async with bench() if wire == "modbus" else rmi_bench() as b:
-        ports = [b.port] if wire == "modbus" else [b.port, getattr(b.controller.server, "_session_port", 0)]
+        ports = [b.port] if wire == "modbus" else [b.port, getattr(b.controller.server, "session_port", 0)]
         tee = Tee(b.time, ports)
         servers = await tee.open()
         arm = make(wire, tee.doors[0], b.clock)

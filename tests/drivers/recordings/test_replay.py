@@ -35,7 +35,7 @@ def test_the_double_answers_what_it_answered(wire: str) -> None:
     time = SteppedTime()
     point = PointArm(time)
     controller = ModbusController(point, time) if wire == "modbus" else RmiController(point, time)
-    ports = [controller.start(), getattr(controller.server, "_session_port", 0)]
+    ports = [controller.start(), getattr(controller.server, "session_port", 0)]
     connections: dict[int, socket.socket] = {}
     try:
         for said in read(wire):
