@@ -14,6 +14,8 @@ from srvs_cell.planning.view import in_view
 from srvs_cell.scene import PlaceKind
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array, Xyzwpr
@@ -40,22 +42,29 @@ class Access:
         self._hand, self._workspace = hand, workspace
         self._reach = None if arm is None else ArmReach(arm, hand.observe)
 
-    def why_not(self, grasp: Grasp, carry: Carry, top_mm: float) -> str:
-        """Return why a workpiece cannot be put down after it was carried, or an empty string.
+    def why_not(self, grasp: Grasp, carries: Sequence[Carry], top_mm: float) -> list[str]:
+        """Return, per place, why a workpiece cannot be put down there after it was carried, or an empty string.
 
         Args:
             grasp: of the workpiece where it was seen.
-            carry: from there.
+            carries: from there, one to each place.
             top_mm: its height at most: the hand comes down from above it.
         """
-        at = self._hand.carried_pose(self._hand.grasp_pose(grasp, carry.turn_deg), carry)
+        poses = [self._hand.carried_pose(self._hand.grasp_pose(grasp, carry.turn_deg), carry) for carry in carries]
+        reasons = [self._why_outside(pose) for pose in poses]
+        if self._reach is not None:
+            inside = [number for number, reason in enumerate(reasons) if not reason]
+            of_arm = self._reach.why_not([self._column(poses[number], top_mm) for number in inside])
+            for number, reason in zip(inside, of_arm, strict=True):
+                reasons[number] = reason
+        return reasons
+
+    def _why_outside(self, at: Xyzwpr) -> str:
         low_mm, high_mm = self._hand.z_mm
         if not low_mm <= at.z_mm <= high_mm:
             return f"the grasp at z = {at.z_mm:.1f} mm is outside the workspace's {low_mm:g} to {high_mm:g} mm"
         beyond_mm = self._workspace.beyond_mm(at.x_mm, at.y_mm)
-        if beyond_mm > 0.0:
-            return f"out of the workspace by {beyond_mm:.0f} mm"
-        return "" if self._reach is None else self._reach.why_not(self._column(at, top_mm))
+        return f"out of the workspace by {beyond_mm:.0f} mm" if beyond_mm > 0.0 else ""
 
     def why_unseen(self, item: ProblemObject, place: Place) -> str:
         """Return why an object cannot be checked on a place after it was put there, or an empty string.
@@ -94,7 +103,7 @@ class Access:
         for pose in way:
             if not low_mm <= pose.z_mm <= high_mm:
                 return f"z = {pose.z_mm:.1f} mm is outside the workspace's {low_mm:g} to {high_mm:g} mm"
-        return "" if self._reach is None else self._reach.why_not(way)
+        return "" if self._reach is None else self._reach.why_not([way])[0]
 
     def _column(self, at: Xyzwpr, top_mm: float) -> list[Xyzwpr]:
         way = Approach.of(at, self._hand.travel_z_mm(top_mm, self._hand.hang_mm(at)), self._hand.approach_mm)

@@ -6,6 +6,7 @@ arm is at the observe pose. Joints are counted from there, too, without whole tu
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +19,8 @@ from srvs_cell.geometry import Transform, Xyzwpr
 from srvs_cell.planning.opw import Configuration, OpwGeometry, beyond_reach_mm, forward, inverse
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
@@ -105,7 +108,7 @@ class ArmReach:
         self._tcp_T_flange, self._flange_T_tcp = tool.inverse().matrix, tool.matrix
         self._world_T_base, self._base_T_world = world.matrix, world.inverse().matrix
         self._observe_deg = np.zeros(6)
-        self._observe_deg = np.nan_to_num(self.joints_deg(_matrices([observe])))[0]
+        self._observe_deg = np.nan_to_num(self.joints_deg(_poses(np.array([observe.as_tuple()]))))[0]
 
     def joints_deg(self, base_T_tcp: Array) -> Array:
         """Return joint angles, shape (N, 6), of TCP poses (N, 4, 4); NaN where a pose is out of reach."""
@@ -128,48 +131,65 @@ class ArmReach:
         regular: NDArray[np.bool_] = inside.all(axis=1) & (np.abs(joints[:, 4]) >= _SINGULAR_J5_DEG)
         return regular
 
-    def why_not(self, way: list[Xyzwpr]) -> str:
-        """Return why the arm cannot go straight from pose to pose, or an empty string where it can.
+    def why_not(self, ways: Sequence[Sequence[Xyzwpr]]) -> list[str]:
+        """Return, per way, why the arm cannot go straight from pose to pose, or an empty string where it can.
 
         Args:
-            way: TCP poses, one at least; between two of them the TCP goes straight and turns evenly.
+            ways: TCP poses, one at least in each; between two of them the TCP goes straight and turns evenly.
         """
-        poses = _along(way)
+        if not ways:
+            return []
+        rows = [_along(way) for way in ways]
+        begins = np.cumsum([0, *map(len, rows)])
+        poses = _poses(np.concatenate(rows))
         beyond_mm = beyond_reach_mm(self._flanges(poses), self._geometry, self._configuration)
-        worst_mm = float(beyond_mm[np.abs(beyond_mm).argmax()])
-        if worst_mm:
-            if not np.isfinite(worst_mm):
-                return "out of reach: too near to axis 1"
-            return f"out of reach by {abs(worst_mm):.0f} mm{'' if worst_mm > 0.0 else ', too near'}"
         joints = self.joints_deg(poses)
-        if (np.abs(np.diff(joints, axis=0)) > _JUMP_DEG).any() or np.abs(joints[:, 4]).min() < _SINGULAR_J5_DEG:
-            return "the wrist would pass a singular pose"
-        beyond_deg = np.maximum(self._low_deg - joints, joints - self._high_deg).max(axis=0)
-        joint = int(beyond_deg.argmax())
-        if beyond_deg[joint] > 0.0:
-            return f"joint {joint + 1} beyond its limit by {beyond_deg[joint]:.1f} deg"
-        return ""
+        with np.errstate(invalid="ignore"):
+            beyond_deg = np.maximum(self._low_deg - joints, joints - self._high_deg)
+            jumps = np.abs(np.diff(joints, axis=0, prepend=joints[:1])).max(axis=1) > _JUMP_DEG
+        jumps[begins[:-1]] = False
+        singular = jumps | (np.abs(joints[:, 4]) < _SINGULAR_J5_DEG)
+        wrong = np.logical_or.reduceat((beyond_mm != 0.0) | singular | (beyond_deg.max(axis=1) > 0.0), begins[:-1])
+        reasons = [""] * len(ways)
+        for number in np.flatnonzero(wrong).tolist():
+            way = slice(begins[number], begins[number + 1])
+            reasons[number] = _reason(beyond_mm[way], singular[way], beyond_deg[way])
+        return reasons
 
     def _flanges(self, base_T_tcp: Array) -> Array:
         flanges: Array = self._world_T_base @ base_T_tcp @ self._tcp_T_flange
         return flanges
 
 
-def _matrices(poses: list[Xyzwpr]) -> Array:
-    return np.array([Transform.from_xyzwpr("base", "tcp", pose).matrix for pose in poses])
+def _reason(beyond_mm: Array, singular: NDArray[np.bool_], beyond_deg: Array) -> str:
+    """Say what is wrong with a way, of samples (N,), (N,) and (N, 6)."""
+    worst_mm = float(beyond_mm[np.abs(beyond_mm).argmax()])
+    if worst_mm:
+        if not np.isfinite(worst_mm):
+            return "out of reach: too near to axis 1"
+        return f"out of reach by {abs(worst_mm):.0f} mm{'' if worst_mm > 0.0 else ', too near'}"
+    if singular.any():
+        return "the wrist would pass a singular pose"
+    most_deg = beyond_deg.max(axis=0)
+    joint = int(most_deg.argmax())
+    return f"joint {joint + 1} beyond its limit by {most_deg[joint]:.1f} deg"
 
 
-def _along(way: list[Xyzwpr]) -> Array:
-    """Return poses (N, 4, 4) along straight moves.
+def _along(way: Sequence[Xyzwpr]) -> Array:
+    """Return X, Y, Z, W, P, R of shape (N, 6) along straight moves.
 
     The angles are interpolated, which for a tool that keeps pointing the same way is the even turn about its axis.
     """
     values = [np.array([way[0].as_tuple()])]
     for start, end in pairwise(way):
         a, b = np.array(start.as_tuple()), np.array(end.as_tuple())
-        samples = max(_LEAST_SAMPLES, int(np.ceil(np.linalg.norm(b[:3] - a[:3]) / _STEP_MM)))
+        samples = max(_LEAST_SAMPLES, math.ceil(math.dist(a[:3], b[:3]) / _STEP_MM))
         values.append(a + np.linspace(0.0, 1.0, samples + 1)[1:, None] * (b - a))
-    rows = np.concatenate(values)
+    return np.concatenate(values)
+
+
+def _poses(rows: Array) -> Array:
+    """Return poses (N, 4, 4) of X, Y, Z, W, P, R of shape (N, 6)."""
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, 3] = rows[:, :3]
     # W, P, R turn about fixed axes (`srvs_cell.geometry.fanuc_rotation`).

@@ -256,7 +256,8 @@ def _hit(a: Footprint, b: Footprint, a_at_mm: Array, b_at_mm: Array, clearance_m
     # Two oblongs are compared axis by axis, so that their corners may be farther apart than the clearance.
     reach_mm = outer_radius_mm(a) + outer_radius_mm(b) + math.sqrt(2.0) * clearance_mm
     close: NDArray[np.bool_] = np.sum(displacement_mm**2, axis=-1) <= reach_mm**2
-    close[close] = too_close(a, b, displacement_mm[close], clearance_mm)
+    if close.any():
+        close[close] = too_close(a, b, displacement_mm[close], clearance_mm)
     hit: NDArray[np.bool_] = np.any(close, axis=1)
     return hit
 

@@ -28,6 +28,8 @@ from srvs_cell.planning.problem import (
 from srvs_cell.scene import PlaceKind
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srvs_cell.scene import Point2
 
 Array = NDArray[np.float64]
@@ -83,9 +85,27 @@ class ConflictTable:
             mask |= 1 << (item * self.place_count + place)
         return mask
 
+    def of(self, items: Sequence[int]) -> ConflictTable:
+        """Return the table of some objects alone, numbered anew in the order in which they are named."""
+        places = (1 << self.place_count) - 1
+        shifts = [(item * self.place_count, number * self.place_count) for number, item in enumerate(items)]
 
+        def kept(mask: int) -> int:
+            return mask if mask == NEVER else sum((mask >> was & places) << now for was, now in shifts)
+
+        return replace(
+            self,
+            standable=tuple(self.standable[item] for item in items),
+            blocked_by=tuple(tuple(map(kept, self.blocked_by[item])) for item in items),
+            grip_blocked_by=tuple(
+                tuple(tuple(map(kept, grips)) for grips in self.grip_blocked_by[item]) for item in items
+            ),
+        )
+
+
+@lru_cache(maxsize=8)
 def conflict_table(problem: Problem) -> ConflictTable:
-    """Compute the conflict table of a problem."""
+    """Compute the conflict table of a problem; kept, because bounds, plan, grips and reasons ask for the same."""
     solid = [place.kind is not PlaceKind.BIN for place in problem.places]
     points = np.array([[place.x_mm, place.y_mm] for place in problem.places], dtype=np.float64).reshape(-1, 2)
     count = len(problem.places)
@@ -143,10 +163,32 @@ def too_close(a: Footprint, b: Footprint, displacement_mm: Array, clearance_mm: 
     return near
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=4096)
 def _difference(a: Footprint, b: Footprint) -> Array:
     """Return the polygon A + (-B); kept, because the search for a buffer place asks for the same pairs many times."""
-    return convex_hull((_core(a)[:, None, :] - _core(b)[None, :, :]).reshape(-1, 2))
+    return minkowski_sum(_core(a), -_core(b))
+
+
+def minkowski_sum(a: Array, b: Array) -> Array:
+    """Return the sum, shape (M, 2), of two convex polygons, both and the sum counter-clockwise.
+
+    The sum's edges are those of both in the order of their directions, from the lowest point on (the leftmost of equal
+    ones). Polygons of one or two vertices are points and segments.
+    """
+    edges, begin = np.zeros((0, 2)), np.zeros(2)
+    for polygon in (a, b):
+        edges = np.concatenate([edges, _following(polygon) - polygon])
+        begin += polygon[np.lexsort((polygon[:, 0], polygon[:, 1]))[0]]
+    edges = edges[np.any(edges != 0.0, axis=1)]
+    direction = np.arctan2(edges[:, 1], edges[:, 0])
+    order = np.argsort(np.where(direction < 0.0, direction + 2.0 * np.pi, direction), kind="stable")
+    corners: Array = begin + np.concatenate([np.zeros((1, 2)), np.cumsum(edges[order], axis=0)])[: max(len(edges), 1)]
+    return corners
+
+
+def _following(polygon_mm: Array) -> Array:
+    """Return the vertex behind each vertex."""
+    return np.concatenate([polygon_mm[1:], polygon_mm[:1]])
 
 
 def finger_polygons(grip: FingerGrip) -> tuple[Polygon, Polygon]:
@@ -200,15 +242,16 @@ def signed_distance_mm(points_mm: Array, polygon_mm: Array) -> Array:
 
     A polygon of one or two vertices is a point or a segment and has no inside.
     """
-    start = polygon_mm
-    edge = np.roll(start, -1, axis=0) - start
-    offset = points_mm[..., None, :] - start
-    length2 = np.sum(edge**2, axis=-1)
-    along = np.clip(np.sum(offset * edge, axis=-1) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
-    distance: Array = np.linalg.norm(offset - along[..., None] * edge, axis=-1).min(axis=-1)
-    if len(start) <= 2:  # noqa: PLR2004 - a point or a segment
+    edge_x, edge_y = (_following(polygon_mm) - polygon_mm).T
+    offset_x = points_mm[..., 0, None] - polygon_mm[:, 0]
+    offset_y = points_mm[..., 1, None] - polygon_mm[:, 1]
+    length2 = edge_x**2 + edge_y**2
+    along = np.clip((offset_x * edge_x + offset_y * edge_y) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
+    distance2 = (offset_x - along * edge_x) ** 2 + (offset_y - along * edge_y) ** 2
+    distance: Array = np.sqrt(distance2.min(axis=-1))
+    if len(polygon_mm) <= 2:  # noqa: PLR2004 - a point or a segment
         return distance
-    left_of_all = np.all(edge[:, 0] * offset[..., 1] - edge[:, 1] * offset[..., 0] >= 0.0, axis=-1)
+    left_of_all = (edge_x * offset_y - edge_y * offset_x >= 0.0).all(axis=-1)
     return np.where(left_of_all, -distance, distance)
 
 
@@ -259,9 +302,10 @@ class _Hits:
         known = self._known.get((a, b, clearance_mm))
         if known is None:
             near = np.argwhere(self._distance_mm <= reach_mm)
-            hit = too_close(a, b, self._displacement_mm[near[:, 0], near[:, 1]], clearance_mm)
+            if len(near):
+                near = near[too_close(a, b, self._displacement_mm[near[:, 0], near[:, 1]], clearance_mm)]
             masks: dict[int, int] = {}
-            for place, other in near[hit].tolist():
+            for place, other in near.tolist():
                 masks[place] = masks.get(place, 0) | 1 << other
             known = self._known[a, b, clearance_mm] = list(masks.items())
         return known

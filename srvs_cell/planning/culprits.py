@@ -20,6 +20,7 @@ from srvs_cell.planning.problem import AssignGoal
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from srvs_cell.planning.clearance import ConflictTable
     from srvs_cell.planning.problem import Problem
 
 MOST_MOVES_TRIED = 20_000
@@ -30,10 +31,12 @@ _GREEDY_WEIGHT = 2.0
 """That there is a plan is all that is asked; that there is none, a greedy search proves as well."""
 
 
-def is_possible(problem: Problem, max_moves_search: int = MOST_MOVES_TRIED) -> bool | None:
+def is_possible(
+    problem: Problem, max_moves_search: int = MOST_MOVES_TRIED, table: ConflictTable | None = None
+) -> bool | None:
     """Tell whether a problem has a plan; None where the search ends at its cap."""
     start = tuple(item.start for item in problem.objects)
-    table, rule = conflict_table(problem), goal_rule(problem)
+    table, rule = table or conflict_table(problem), goal_rule(problem)
     if not goal_is_possible(start, table, rule):
         return False
     if len(start) <= MOST_WITH_ROOM:
@@ -63,15 +66,19 @@ def only(problem: Problem, items: Collection[int]) -> Problem:
 
 def culprits(problem: Problem, suspects: Collection[int]) -> tuple[int, ...]:
     """Return objects among some that alone make the problem impossible; none where no search within its cap says so."""
+    table = conflict_table(problem)
+
+    def possible(items: Collection[int]) -> bool | None:
+        return is_possible(only(problem, items), _MOST_FOR_CULPRITS, table.of(sorted(items)))
 
     def impossible(items: Collection[int]) -> bool:
-        return is_possible(only(problem, items), _MOST_FOR_CULPRITS) is False
+        return possible(items) is False
 
     for group in chain(combinations(sorted(suspects), 1), combinations(sorted(suspects), 2)):
         if impossible(group):
             return group
     everybody = set(suspects)
-    needed = {item for item in everybody if is_possible(only(problem, everybody - {item}), _MOST_FOR_CULPRITS)}
+    needed = {item for item in everybody if possible(everybody - {item})}
     # Without whom it is possible is certainly to blame.
     left = sorted(everybody, key=lambda item: (item not in needed, item))
     blamed: list[int] = []

@@ -11,6 +11,8 @@ import heapq
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from srvs_cell.planning.goals import OUTSIDE
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -82,7 +84,13 @@ class MoveSearch:
 
 
 def fewest_moves(
-    start: Arrangement, table: ConflictTable, rule: GoalRule, max_moves_search: int, weight: float = 1.0
+    start: Arrangement,
+    table: ConflictTable,
+    rule: GoalRule,
+    max_moves_search: int,
+    weight: float = 1.0,
+    *,
+    at_most_twice: bool = False,
 ) -> MoveSearch:
     """Search for a plan with the fewest moves.
 
@@ -92,6 +100,8 @@ def fewest_moves(
         rule: goal.
         max_moves_search: give up after this many moves were tried.
         weight: 1 proves the fewest moves; above 1 the search is greedier and proves nothing but that there is no plan.
+        at_most_twice: look only at plans in which each object goes where it ends at once, or waits in one other place:
+            few arrangements, and mostly the fewest moves; what is found proves nothing of other plans.
 
     Returns:
         the plan, or that there is none (every reachable arrangement was seen), or neither where the cap was hit.
@@ -117,6 +127,8 @@ def fewest_moves(
         closed.add(arrangement)
         moves = 1 - minus_moves
         for step in possible_moves(arrangement, table):
+            if at_most_twice and not _leads_on(step, start, rule):
+                continue
             tried += 1
             successor = after(arrangement, step)
             if moves < least.get(successor, moves + 1):
@@ -124,6 +136,15 @@ def fewest_moves(
                 came_from[successor] = (arrangement, step)
                 heapq.heappush(queue, (moves + weight * rule.lower_bound(successor), -moves, successor))
     return MoveSearch(None, proven=True, bound=bound, explored=least)
+
+
+def _leads_on(step: Step, start: Arrangement, rule: GoalRule) -> bool:
+    """Tell whether a move is its object's first one, or its second to where it ends."""
+    item, origin, target = step
+    allowed = rule.allowed[item]
+    if allowed >> target & 1:
+        return origin == start[item] or not allowed >> origin & 1
+    return origin == start[item] and rule.class_of_place[target] == OUTSIDE
 
 
 def way_to(arrangement: Arrangement, came_from: dict[Arrangement, tuple[Arrangement, Step]]) -> tuple[Step, ...]:

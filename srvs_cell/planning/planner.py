@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from srvs_cell.planning.ample_room import MOST_WITH_ROOM, clear_places, fewest_with_room, with_places
@@ -17,7 +18,7 @@ from srvs_cell.planning.parameters import SearchLimits
 from srvs_cell.planning.reasons import infeasible_reasons
 from srvs_cell.planning.travel import distances, least_travel, travel_mm
 from srvs_cell.planning.walk_bound import hole_costs
-from srvs_cell.scene import Move, PlanStatus, RelocationPlan
+from srvs_cell.scene import Move, PlaceKind, PlanStatus, RelocationPlan
 
 if TYPE_CHECKING:
     from srvs_cell.planning.clearance import ConflictTable
@@ -104,30 +105,37 @@ def _fewest_moves(
 ) -> MoveSearch:
     """Search for the fewest moves, first as if there were room enough: that is a bound, and often the answer."""
     cap = limits.max_moves_search
-    if len(start) > MOST_WITH_ROOM:
-        found, within = fewest_moves(start, table, rule, cap), None
-    else:
+    bound, good = 0, []
+    if len(start) <= MOST_WITH_ROOM:
         anywhere = fewest_with_room(start, table, rule, len(start), cap)
         if anywhere.proven and anywhere.steps is None:
             return anywhere
-        clear = clear_places(start, table, rule)
-        within = None
-        if clear:
+        bound = anywhere.bound
+        if clear := clear_places(start, table, rule):
             search = fewest_with_room(start, table, rule, len(clear), cap)
             if search.steps is not None:
-                within = with_places(search.steps, start, clear, table, legs)
-                if len(within) <= anywhere.bound:
-                    return replace(search, steps=within)
-        found = fewest_moves(start, table, rule, cap)
-        found = replace(found, bound=max(found.bound, anywhere.bound))
-    if found.steps is None and not found.proven:
-        steps = within or fewest_moves(start, table, rule, cap, GREEDY_WEIGHT).steps
-        return replace(found, steps=steps)
-    return found
+                good.append(replace(search, steps=with_places(search.steps, start, clear, table, legs)))
+        if not good or len(good[0].steps or ()) > bound:
+            good.append(fewest_moves(start, table, rule, cap, at_most_twice=True))
+        for search in good:
+            if search.steps is not None and len(search.steps) <= bound:
+                return replace(search, proven=True, bound=bound)
+    found = fewest_moves(start, table, rule, cap)
+    found = replace(found, bound=max(found.bound, bound))
+    if found.steps is not None or found.proven:
+        return found
+    plans = [search.steps for search in good if search.steps is not None]
+    if not plans:
+        return replace(found, steps=fewest_moves(start, table, rule, cap, GREEDY_WEIGHT).steps)
+    return replace(found, steps=min(plans, key=len))
 
 
+@lru_cache(maxsize=8)
 def moves_with_room(problem: Problem, limits: SearchLimits) -> int | None:
-    """Return a bound on the moves that holds with any number of free places; None: there is no plan even so."""
+    """Return a bound on the moves that holds with any number of free places; None: there is no plan even so.
+
+    Kept, because it is asked for before and after a plan is made.
+    """
     table, rule = conflict_table(problem), goal_rule(problem)
     start = tuple(item.start for item in problem.objects)
     if not goal_is_possible(start, table, rule):
@@ -136,6 +144,25 @@ def moves_with_room(problem: Problem, limits: SearchLimits) -> int | None:
         return rule.lower_bound(start)
     found = fewest_with_room(start, table, rule, len(start), limits.max_moves_search)
     return None if found.proven and found.steps is None else found.bound
+
+
+def lacks_room(problem: Problem, needed: int, limits: SearchLimits) -> bool:
+    """Tell whether with another free place that is clear of everything certainly fewer moves do.
+
+    Args:
+        problem: a problem whose buffer places were found.
+        needed: what `moves_with_room` says.
+        limits: caps of the search.
+    """
+    table, rule = conflict_table(problem), goal_rule(problem)
+    start = tuple(item.start for item in problem.objects)
+    clear = clear_places(start, table, rule)
+    if len(start) > MOST_WITH_ROOM or any(
+        place.kind is PlaceKind.BUFFER and place.id not in clear for place in problem.places
+    ):
+        return False
+    found = fewest_with_room(start, table, rule, len(clear), limits.max_moves_search)
+    return found.proven and (found.steps is None or len(found.steps) > needed)
 
 
 def _infeasible(bound_moves: int, bound_mm: float, reasons: tuple[str, ...]) -> RelocationPlan:

@@ -10,10 +10,11 @@ from srvs_cell.planning.access import Access
 from srvs_cell.planning.buffers import better_buffer, find_buffer
 from srvs_cell.planning.carrying import Carry
 from srvs_cell.planning.clearance import conflict_table
+from srvs_cell.planning.culprits import is_possible
 from srvs_cell.planning.explain import what_would_help
 from srvs_cell.planning.legs import LegTops, leg_tops, tallest_mm
 from srvs_cell.planning.moves import after, free_grips
-from srvs_cell.planning.planner import has_plan, moves_with_room, plan
+from srvs_cell.planning.planner import has_plan, lacks_room, moves_with_room, plan
 from srvs_cell.planning.rules import make_rule
 from srvs_cell.planning.table import TableProblem, accessible, table_problem, with_access
 from srvs_cell.planning.timing import cell_timing
@@ -133,13 +134,13 @@ def plan_relocation(
         rule = make_rule(parameters.rule, parameters.rule_settings)
     task = _Task(workpieces, parameters, workspace, rule, hand, kept)
     try:
-        table = task.table()
+        table = task.with_room(task.table())
     except AlarmError as error:
         if error.alarm is Alarm.NO_BUFFER_PLACE and task.is_solvable_if_exact(1):
             raise _too_uncertain((error.detail.rstrip("."),), ()) from error
         raise
     answer = task.plan(table)
-    found = sum(place.kind is PlaceKind.BUFFER for place in table.problem.places)
+    found = _buffers(table)
     if found and not parameters.buffer_places_mm:
         table, answer = task.with_more_buffers(table, answer)
         table, answer = task.with_better_buffer(table, answer)
@@ -182,25 +183,37 @@ class _Task:
         timing = cell_timing(table.problem, self._movable(table), self.hand, self.parameters)
         return plan(table.problem, self.parameters.limits, timing)
 
+    def with_room(self, table: TableProblem) -> TableProblem:
+        """Look for more buffer places where it is certain, without any plan, that they save moves."""
+        found, limits = _buffers(table), self.parameters.limits
+        if not found or self.parameters.buffer_places_mm:
+            return table
+        needed = moves_with_room(table.problem, limits)
+        while needed is not None and found < self.parameters.max_found_buffers:
+            if not lacks_room(table.problem, needed, limits):
+                break
+            try:
+                table = self._with_one_more(table)
+            except AlarmError:
+                break
+            found += 1
+        return table
+
     def with_more_buffers(self, table: TableProblem, answer: RelocationPlan) -> tuple[TableProblem, RelocationPlan]:
         """Look for more buffer places while they can save moves, or make a plan possible at all."""
-        movable, access = self._movable(table), self._access()
         needed = moves_with_room(table.problem, self.parameters.limits)
         best, wider = (table, answer), table
-        for _ in range(1, self.parameters.max_found_buffers):
+        for _ in range(_buffers(table), self.parameters.max_found_buffers):
             if needed is None or (has_plan(best[1]) and len(best[1].moves) <= needed):
                 break
             try:
-                problem = find_buffer(
-                    wider.problem, self.workspace, self.parameters.buffer_grid_mm, accessible(movable, access)
-                )
+                wider = self._with_one_more(wider)
             except AlarmError as error:
                 # One place was found before, so that "infeasible" and its reasons say more than the alarm would.
                 if not has_plan(best[1]):
                     reasons = (*best[1].reasons, f"no further buffer place: {error.detail}")
                     best = (best[0], replace(best[1], reasons=reasons))
                 break
-            wider = replace(wider, problem=with_access(problem, movable, access))
             other = self.plan(wider)
             if not has_plan(best[1]) or (has_plan(other) and len(other.moves) < len(best[1].moves)):
                 best = (wider, other)
@@ -210,7 +223,8 @@ class _Task:
         """Move the buffer place that was found to where the plan's ways are shortest, and plan anew, while it helps."""
         movable, access = self._movable(table), self._access()
         for _ in range(_MOST_BUFFERS_TRIED):
-            if table.problem.places[-1].kind is not PlaceKind.BUFFER:
+            # Where the proof fails already, so it will again, and costs as much.
+            if table.problem.places[-1].kind is not PlaceKind.BUFFER or not answer.travel_proven:
                 break
             moved = better_buffer(
                 table.problem,
@@ -221,7 +235,7 @@ class _Task:
             )
             if moved is None:
                 break
-            trial = replace(table, problem=with_access(moved, movable, access))
+            trial = replace(table, problem=with_access(moved, movable, access, moved.places[-1:]))
             shorter = self.plan(trial)
             if not shorter.moves or _cost(shorter) >= _cost(answer):
                 break
@@ -234,7 +248,14 @@ class _Task:
             exact = self.table(max(buffers, 1), exact=True)
         except AlarmError:
             return False
-        return has_plan(plan(exact.problem, self.parameters.limits))
+        return is_possible(exact.problem, self.parameters.limits.max_moves_search) is True
+
+    def _with_one_more(self, table: TableProblem) -> TableProblem:
+        """Return the problem with one more buffer place; raises `AlarmError` NO_BUFFER_PLACE."""
+        movable, access = self._movable(table), self._access()
+        grid_mm = self.parameters.buffer_grid_mm
+        problem = find_buffer(table.problem, self.workspace, grid_mm, accessible(movable, access))
+        return replace(table, problem=with_access(problem, movable, access, problem.places[-1:]))
 
     def _access(self) -> Access | None:
         return None if self.hand is None else Access(self.hand, self.parameters.arm, self.workspace)
@@ -242,6 +263,10 @@ class _Task:
     def _movable(self, table: TableProblem) -> list[Workpiece]:
         by_id = {workpiece.id: workpiece for workpiece in self.workpieces}
         return [by_id[identifier] for identifier in table.workpieces]
+
+
+def _buffers(table: TableProblem) -> int:
+    return sum(place.kind is PlaceKind.BUFFER for place in table.problem.places)
 
 
 def _cost(answer: RelocationPlan) -> tuple[int, float]:

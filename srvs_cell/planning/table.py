@@ -175,26 +175,48 @@ def accessible(
     return allowed
 
 
-def with_access(problem: Problem, movable: Sequence[Workpiece], access: Access | None) -> Problem:
-    """Return the problem with the places where each object can be neither picked nor put down."""
+def with_access(
+    problem: Problem, movable: Sequence[Workpiece], access: Access | None, places: Sequence[Place] | None = None
+) -> Problem:
+    """Return the problem with the places where each object can be neither picked nor put down.
+
+    Args:
+        problem: the problem.
+        movable: the workpiece behind each object.
+        access: where the hand may go; None: everywhere.
+        places: those that are new; what is known of the others stays; None: all.
+    """
     if access is None:
         return problem
+    new = problem.places if places is None else places
+    known = {place.id for place in problem.places} - {place.id for place in new}
+    reachable = [place for place in new if place.reachable]
     objects = []
     for item, workpiece in zip(problem.objects, movable, strict=True):
         here = problem.places[item.start]
         grasps = () if workpiece.grasp is None else workpiece.grasp.choices
-        why_not: dict[int, list[str]] = {}
-        for place in problem.places:
-            if place.reachable:
-                carry = Carry((here.x_mm, here.y_mm), (place.x_mm, place.y_mm), item.turn_deg(place.id))
-                why_not[place.id] = [access.why_not(grasp, carry, item.top_mm) for grasp in grasps]
+        carries = [
+            Carry((here.x_mm, here.y_mm), (place.x_mm, place.y_mm), item.turn_deg(place.id)) for place in reachable
+        ]
+        # [grasp][place]
+        why_not = [access.why_not(grasp, carries, item.top_mm) for grasp in grasps]
         grips = tuple(
-            replace(grip, blocked=tuple(place for place, reasons in why_not.items() if reasons[number]))
-            for number, grip in enumerate(item.grips)
+            replace(
+                grip,
+                blocked=(
+                    *(place for place in grip.blocked if place in known),
+                    *(place.id for place, reason in zip(reachable, reasons, strict=True) if reason),
+                ),
+            )
+            for grip, reasons in zip(item.grips, why_not, strict=True)
         )
-        blocked = {place: reasons[0] for place, reasons in why_not.items() if reasons and all(reasons)}
-        unseen = {place.id: access.why_unseen(item, place) for place in problem.places if place.id != item.start}
-        blocked |= {place: reason for place, reason in unseen.items() if reason and place not in blocked}
+        blocked = {place: reason for place, reason in item.blocked if place in known}
+        for place, *reasons in zip(reachable, *why_not, strict=True):
+            if reasons and all(reasons):
+                blocked[place.id] = reasons[0]
+        for place in new:
+            if place.id not in blocked and place.id != item.start and (unseen := access.why_unseen(item, place)):
+                blocked[place.id] = unseen
         objects.append(replace(item, grips=grips, blocked=tuple(blocked.items())))
     return replace(problem, objects=tuple(objects))
 

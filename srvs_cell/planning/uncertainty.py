@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srvs_cell.planning.clearance import convex_hull
+from srvs_cell.planning.clearance import minkowski_sum
 from srvs_cell.planning.problem import Polygon
 from srvs_cell.scene import UNKNOWN_KIND
 
@@ -59,8 +59,8 @@ def grown(polygon: Polygon, growth_mm: float) -> Polygon:
         return polygon
     angles = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     octagon = np.column_stack([np.cos(angles), np.sin(angles)]) * growth_mm / math.cos(math.pi / _SIDES)
-    hull = convex_hull((np.array(polygon.vertices_mm)[:, None] + octagon[None]).reshape(-1, 2))
-    return Polygon(tuple((float(x), float(y)) for x, y in hull))
+    corners = minkowski_sum(np.array(polygon.vertices_mm), octagon)
+    return Polygon(tuple((float(x), float(y)) for x, y in corners))
 
 
 def finger_growth_mm(workpiece: Workpiece, others: Sequence[Workpiece]) -> float:

@@ -271,7 +271,8 @@ def _near(a: Footprint, a_at: Place, b: Footprint, b_at: Place | Obstacle, clear
     if isinstance(a, Disc) and isinstance(b, Disc):
         return math.hypot(dx, dy) - a.radius_mm - b.radius_mm < clearance_mm - _TOUCH_MM
     (corners_a, round_a), (corners_b, round_b) = _corners(a, 0.0, 0.0), _corners(b, dx, dy)
-    return _gap_mm(corners_a, corners_b) - round_a - round_b < clearance_mm - _TOUCH_MM
+    enough_mm = round_a + round_b + clearance_mm - _TOUCH_MM
+    return _gap_mm(corners_a, corners_b, enough_mm) < enough_mm
 
 
 def _corners(shape: Footprint, x: float, y: float) -> _Shape:
@@ -283,23 +284,31 @@ def _corners(shape: Footprint, x: float, y: float) -> _Shape:
     return [(x + vx, y + vy) for vx, vy in shape.vertices_mm], 0.0
 
 
-def _gap_mm(a: list[Point2], b: list[Point2]) -> float:
-    """Return the distance of two convex counter-clockwise polygons; minus the depth where they overlap."""
-    apart = [_apart_mm(a, b), _apart_mm(b, a)]
-    if max(apart) <= 0.0:
-        return max(apart)
+def _gap_mm(a: list[Point2], b: list[Point2], enough_mm: float = math.inf) -> float:
+    """Return the distance of two convex counter-clockwise polygons; minus the depth where they overlap.
+
+    Where it is certainly more than enough, less than the distance may be returned.
+    """
+    apart_mm = max(_apart_mm(a, b), _apart_mm(b, a))
+    if apart_mm <= 0.0 or apart_mm >= enough_mm:
+        return apart_mm
     return min(*(_point_to_edges_mm(point, b) for point in a), *(_point_to_edges_mm(point, a) for point in b))
 
 
 def _apart_mm(a: list[Point2], b: list[Point2]) -> float:
-    """Return the widest strip along an edge of ``a`` that parts ``a`` from ``b``; negative where none does."""
+    """Return the widest strip along an edge of ``a`` that parts ``a`` from ``b``; negative where none does.
+
+    Of two points: their distance.
+    """
+    if len(a) == len(b) == 1:
+        return math.dist(a[0], b[0])
     widest = -math.inf
     for (x0, y0), (x1, y1) in zip(a, a[1:] + a[:1], strict=True):
         length = math.hypot(x1 - x0, y1 - y0)
         if length > 0.0:
             nx, ny = (y1 - y0) / length, (x0 - x1) / length
             widest = max(widest, min(nx * (x - x0) + ny * (y - y0) for x, y in b))
-    return widest if len(a) > 1 or len(b) > 1 else math.inf
+    return widest
 
 
 def _point_to_edges_mm(point: Point2, polygon: list[Point2]) -> float:

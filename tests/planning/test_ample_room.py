@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import random
-from collections import deque
+from collections import Counter, deque
 from dataclasses import replace
 from functools import cache
 
 import pytest
 
-from srvs_cell.planning import AssignGoal, FingerGrip, Polygon, Problem, ProblemObject, plan, validate
+from srvs_cell.planning import AssignGoal, FingerGrip, Polygon, Problem, ProblemObject, SearchLimits, plan, validate
 from srvs_cell.planning.ample_room import clear_places, fewest_with_room
 from srvs_cell.planning.clearance import conflict_table
 from srvs_cell.planning.culprits import culprits, only
 from srvs_cell.planning.explain import what_would_help
 from srvs_cell.planning.goals import goal_rule
+from srvs_cell.planning.moves import fewest_moves
+from srvs_cell.planning.planner import lacks_room, moves_with_room
 from srvs_cell.scene import Move, Place, PlaceKind, PlanStatus
 
 SEEDS = range(40)
@@ -144,3 +146,36 @@ def test_moves_with_room_are_a_bound_and_with_enough_clear_places_the_truth(seed
     elif truth is not None:
         assert found.steps is not None
         assert found.bound <= truth
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_plans_in_which_each_object_waits_once_at_most_are_plans(seed: int) -> None:
+    problem = crowd(seed)
+    start, table, rule = tuple(item.start for item in problem.objects), conflict_table(problem), goal_rule(problem)
+    found = fewest_moves(start, table, rule, CAP, at_most_twice=True)
+    if found.steps is None:
+        return
+    truth = brute_force(problem)
+    assert truth is not None
+    assert len(found.steps) >= truth
+    assert validate(problem, [Move(*step) for step in found.steps]) == []
+    assert max(Counter(item for item, _, _ in found.steps).values(), default=0) <= 2
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_where_no_room_is_lacking_the_fewest_moves_are_those_with_room(seed: int) -> None:
+    problem, limits = crowd(seed), SearchLimits()
+    needed, truth = moves_with_room(problem, limits), brute_force(problem)
+    if needed is None:
+        assert truth is None
+    elif lacks_room(problem, needed, limits):
+        assert truth is None or truth >= needed
+    else:
+        assert truth == needed
+
+
+@pytest.mark.parametrize("seed", range(0, 40, 5))
+def test_the_table_of_some_objects_is_a_part_of_the_whole_one(seed: int) -> None:
+    problem = crowd(seed)
+    for items in ([0], [2, 0], [1, 2], [0, 1, 2]):
+        assert conflict_table(problem).of(sorted(items)) == conflict_table(only(problem, items))

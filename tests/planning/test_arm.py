@@ -89,7 +89,7 @@ def test_the_simulated_arm_goes_straight_as_the_planner_thinks(x: float, y: floa
     ],
 )
 def test_why_the_arm_cannot_go_a_way(way: list[Xyzwpr], changes: dict[str, object], words: str) -> None:
-    assert ArmReach(_arm(**changes), OBSERVE_POSE).why_not(way) == words
+    assert ArmReach(_arm(**changes), OBSERVE_POSE).why_not([way]) == [words]
 
 
 def test_base_frame_and_tool_are_where_the_config_says() -> None:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srvs_cell.planning import Disc, FingerGrip, Footprint, Polygon, Rectangle, validator
-from srvs_cell.planning.clearance import convex_hull, finger_polygons, signed_distance_mm, too_close
+from srvs_cell.planning.clearance import convex_hull, finger_polygons, minkowski_sum, signed_distance_mm, too_close
 from srvs_cell.scene import Place, PlaceKind
 
 sizes = st.floats(1.0, 40.0)
@@ -66,6 +66,18 @@ def test_hull_drops_inner_points_and_turns_left() -> None:
     assert sorted(map(tuple, hull.tolist())) == [(0.0, 0.0), (0.0, 4.0), (4.0, 0.0), (4.0, 4.0)]
     following = np.roll(hull, -1, axis=0)
     assert (hull[:, 0] * following[:, 1] - hull[:, 1] * following[:, 0]).sum() > 0
+
+
+@given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 2**32 - 1))
+def test_the_sum_of_two_polygons_is_the_hull_of_all_sums(count: int, other: int, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    a, b = (convex_hull(random.integers(-4, 5, (n, 2)).astype(np.float64)) for n in (count, other))
+    total = minkowski_sum(a, b)
+    hull = convex_hull((a[:, None, :] + b[None, :, :]).reshape(-1, 2))
+    points = random.uniform(-12.0, 12.0, (40, 2))
+    assert np.allclose(convex_hull(total), hull)
+    if len(hull) > 2:
+        assert np.allclose(signed_distance_mm(points, total), signed_distance_mm(points, hull))
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 37.0])
