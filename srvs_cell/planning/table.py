@@ -198,7 +198,7 @@ def with_access(
         carries = [
             Carry((here.x_mm, here.y_mm), (place.x_mm, place.y_mm), item.turn_deg(place.id)) for place in reachable
         ]
-        # [grasp][place]
+        # Per grasp, per place.
         why_not = [access.why_not(grasp, carries, item.top_mm) for grasp in grasps]
         grips = tuple(
             replace(
