@@ -81,7 +81,7 @@ class PlaneParameters:
 
     min_open_share: Annotated[
         float, Field(gt=0.0, le=1.0, description="regions are joined where so much of their border lies on no edge")
-    ] = 0.5
+    ] = 0.55
     max_brightness_step: Annotated[
         float, Field(gt=0.0, le=255.0, description="regions are not joined where their mean brightness differs by more")
     ] = 25.0

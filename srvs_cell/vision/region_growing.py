@@ -6,21 +6,19 @@ two cores meet at the neck between them: in the gap of an edge, or in the middle
 the two it is, the border tells: regions are joined where most of their common border lies on no edge and their
 brightness is alike. A gap therefore does not let one plane leak into another.
 
-Pixels that the same circles reach form runs along the rows. What is connected, and so belongs to one core, is found
-among the runs; single pixels are looked at only where cores meet.
+The growing is a watershed (Meyer 1992): OpenCV's floods a picture in the order of the differences between neighbours,
+so it is given one in which these differences are the order that is wanted.
 """
 
 from __future__ import annotations
 
 import heapq
-import itertools
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from srvs_cell.vision.runs import RowRuns, joined
+from srvs_cell.vision.runs import RowRuns
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,10 +30,10 @@ _LEVELS_PX = (24.0, 16.0, 11.0, 8.0, 5.0, 3.0, 2.0, 1.0, 0.5)
 _REACHED_BY = np.sum(np.arange(256) >= 2.0 * np.array(_LEVELS_PX)[:, None], axis=0).astype(np.uint8)
 """The number of circles that reach a pixel, by its distance to the nearest edge in half pixels."""
 _CUT_OFF = -0.499
-_OPEN, _WAITING = -1, -2
-"""Instead of a label: a pixel that may get one, and, from here down, one that gets it in the next step."""
-_MEETING_STEPS = 40
-_EDGE_STEPS = 3
+_ON_EDGE = len(_LEVELS_PX) + 1
+"""When an edge pixel is reached: after all that any circle reaches."""
+_FILLINGS = 3
+"""The watershed leaves a pixel between regions; what such pixels shut in is a pixel or two wide."""
 _NEAR_EDGE = np.ones((3, 3), np.uint8)
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
@@ -57,160 +55,60 @@ def grow_regions(
     Returns:
         Labels, int32, shape (H, W), 1 and up; 0 where the image is not valid.
     """
-    usable = np.ones(grey.shape, dtype=np.bool_) if valid is None else valid
-    free = (usable & ~edges).view(np.uint8)
+    free = (~edges if valid is None else valid & ~edges).view(np.uint8)
     labels = grow_between_edges(np.asarray(cv2.distanceTransform(free, cv2.DIST_L2, 3), dtype=np.float32))
-    _grow(labels, np.flatnonzero(_framed(usable.view(np.uint8)) & (labels == 0)), _EDGE_STEPS)
-    return join_regions(grey, np.ascontiguousarray(labels[1:-1, 1:-1]), edges, parameters)
+    if valid is not None:
+        labels *= valid
+    return join_regions(grey, labels, edges, parameters)
 
 
 def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Return the regions that grow from their cores until they meet each other or an edge.
+    """Return the regions that grow from their cores until they meet each other.
 
     Args:
         distance_px: distance to the nearest edge, 0 on it, shape (H, W).
 
     Returns:
-        Labels 1 and up, int32, in a frame of one pixel, shape (H + 2, W + 2); 0 on edges and frame.
+        Labels 1 and up, int32, shape (H, W); 0 everywhere where there are only edges.
     """
-    runs = _LevelRuns.of(distance_px)
-    label_of_run = _cores(runs)
-    labels = runs.painted(label_of_run)
-    order, counts = _highest_first(np.where(label_of_run == 0, runs.level, 0))
-    shared = order[: counts[-1]]
-    pixels = runs.pixels(shared)
-    bounds = np.concatenate([[0], np.cumsum(runs.length[shared])])[counts]
-    left = np.zeros(0, dtype=np.intp)
-    for first, last in itertools.pairwise(bounds.tolist()):
-        left = _grow(labels, np.concatenate([left, pixels[first:last]]), _MEETING_STEPS)
-    return labels
-
-
-def _framed(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.asarray(cv2.copyMakeBorder(image, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,)), dtype=np.uint8)
-
-
-@dataclass(frozen=True, eq=False)
-class _LevelRuns:
-    """Runs of pixels off the edges that the same circles reach, in the flat image with a frame of one pixel.
-
-    Attributes:
-        shape: of the framed image.
-        level: how many of the circles reach each run, shape (runs,).
-        begin: the run's first pixel.
-        length: of the run.
-        one, other: numbers of the runs of each pair of neighbours, shape (pairs,).
-    """
-
-    shape: tuple[int, int]
-    level: NDArray[np.uint8]
-    begin: NDArray[np.intp]
-    length: NDArray[np.intp]
-    one: NDArray[np.intp]
-    other: NDArray[np.intp]
-
-    @classmethod
-    def of(cls, distance_px: NDArray[np.float32]) -> _LevelRuns:
-        """Find the runs and their 4-neighbours."""
-        # rounded half a unit lower: cut off
-        halves = cv2.convertScaleAbs(distance_px, alpha=2.0, beta=_CUT_OFF)
-        framed = _framed(np.asarray(cv2.LUT(halves, _REACHED_BY), dtype=np.uint8))
-        flat, width = framed.ravel(), framed.shape[1]
-        begin = np.append(0, np.flatnonzero(flat[1:] != flat[:-1]) + 1)
-        length = np.diff(begin, append=flat.size)
-        level = flat[begin]
-        run = np.flatnonzero(level)
-        # where two runs of neighbouring rows meet, one of them begins
-        of_pixel = np.repeat(np.arange(begin.size, dtype=np.int32), length)
-        one = np.concatenate([run, run, run])
-        other = np.concatenate([run - 1, of_pixel[begin[run] - width], of_pixel[begin[run] + width]])
-        return cls((framed.shape[0], width), level, begin, length, one, other)
-
-    def painted(self, label: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the framed image with each run's label on its pixels."""
-        return np.repeat(label, self.length).reshape(self.shape)
-
-    def pixels(self, runs: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the numbers of the pixels of some runs in the flat framed image."""
-        length = self.length[runs]
-        return np.asarray(np.arange(length.sum()) + np.repeat(self.begin[runs] - np.cumsum(length) + length, length))
-
-
-def _cores(runs: _LevelRuns) -> NDArray[np.int32]:
-    """Return the label of each run that belongs to one region alone, 0 for those that several regions share."""
-    # high levels first: what a circle reaches is at the front of the list, what was reached before too
-    order, reached = _highest_first(runs.level)
-    rank = np.empty(order.size, dtype=np.intp)
-    rank[order] = np.arange(order.size)
-    pairs, paired = _highest_first(np.minimum(runs.level[runs.one], runs.level[runs.other]))
-    one, other = rank[runs.one[pairs]], rank[runs.other[pairs]]
-    label_of_run = np.zeros(order.size, dtype=np.int32)
-    group = np.zeros(order.size, dtype=np.intp)
-    group_of_region = np.zeros(0, dtype=np.intp)
-    groups = 0
-    for before, now, first, last in zip(reached, reached[1:], paired, paired[1:], strict=False):
-        group[before:now] = np.arange(groups, groups + now - before)
-        root = joined(np.arange(groups + now - before), group[one[first:last]], group[other[first:last]])
-        lowest = root == np.arange(root.size)
-        renumbered = (np.cumsum(lowest) - 1)[root]
-        group[:now] = renumbered[group[:now]]
-        group_of_region = renumbered[group_of_region]
-        is_new = np.flatnonzero(lowest) >= groups
-        groups = is_new.size
-        # a group of runs is a new region, or the rest of the one region that it holds, or is shared by several
-        held = np.bincount(group_of_region, minlength=groups)
-        fresh = np.flatnonzero(is_new & (held == 0))
-        group_of_region = np.concatenate([group_of_region, fresh])
-        label = np.zeros(groups, dtype=np.int32)
-        label[group_of_region] = np.arange(1, group_of_region.size + 1)
-        label[held > 1] = 0
-        label_of_run[order[before:now]] = label[group[before:now]]
-    return label_of_run
-
-
-def _highest_first(level: NDArray[np.uint8]) -> tuple[NDArray[np.intp], list[int]]:
-    """Return an order of falling level, and how many are of more than each level, from the highest down to 0."""
-    counts = np.bincount(level, minlength=len(_LEVELS_PX) + 1)
-    return np.argsort(len(_LEVELS_PX) - level, kind="stable"), [0, *np.cumsum(counts[:0:-1]).tolist()]
-
-
-def _grow(labels: NDArray[np.int32], pixels: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
-    """Grow the labels by so many pixels into those that have none, in place.
-
-    A pixel with neighbours of several labels takes the highest. Only the front is looked at: a pixel can be reached
-    only from one that was reached in the step before.
-
-    Args:
-        labels: in a frame of one pixel.
-        pixels: numbers in the flat image of the pixels to grow into, shape (N,).
-        steps: how far.
-
-    Returns:
-        The pixels that were not reached.
-    """
-    if not pixels.size:
-        return pixels
+    # rounded half a unit lower: cut off
+    halves = cv2.convertScaleAbs(distance_px, alpha=2.0, beta=_CUT_OFF)
+    reached_by = cv2.LUT(halves, _REACHED_BY)
+    # the watershed does not look at the picture's outermost pixels
+    level = np.asarray(cv2.copyMakeBorder(reached_by, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,)), dtype=np.uint8)
+    labels = np.asarray(cv2.watershed(_in_order(_ON_EDGE - level), _cores(level)), dtype=np.int32)
     label, width = labels.ravel(), labels.shape[1]
     beside = np.array([[-width], [-1], [1], [width]])
-    front = pixels[(label.take(pixels + beside) > 0).any(axis=0)]
-    if not front.size:
-        return pixels
-    label[pixels] = _OPEN
-    label[front] = _WAITING
-    for _ in range(steps):
-        around = front + beside
-        met = label.take(around)
-        label[front] = met.max(axis=0)
-        following = around[met == _OPEN]
-        if not following.size:
-            break
-        # a pixel beside several of the front is met several times: the one that wrote its number last stays
-        number = np.arange(_WAITING, _WAITING - following.size, -1, dtype=np.int32)
-        label[following] = number
-        front = following[label.take(following) == number]
-    missed = pixels[label.take(pixels) < 0]
-    label[missed] = 0
-    return np.asarray(missed)
+    row, column = np.divmod(np.flatnonzero(labels[1:-1, 1:-1] <= 0), width - 2)
+    between = (row + 1) * width + column + 1
+    for _ in range(_FILLINGS):
+        # what is between several regions is the highest one's
+        label[between] = np.maximum(label[between + beside].max(axis=0), 0)
+        between = between[label[between] == 0]
+    return np.ascontiguousarray(labels[1:-1, 1:-1])
+
+
+def _cores(level: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Return the labels, 1 and up, of the connected pixels of one level that no pixel of a higher level touches."""
+    below = cv2.compare(cv2.dilate(level, _CROSS), level, cv2.CMP_GT)
+    # without the pixels that touch a higher level no two levels touch; a plateau that has lost some is no core
+    lost = cv2.bitwise_and(level, below)
+    tops = cv2.subtract(level, lost)
+    count, found = cv2.connectedComponents(tops, connectivity=4)
+    label = np.asarray(found, dtype=np.int32)
+    beside_lost = cv2.bitwise_and(cv2.compare(cv2.dilate(lost, _CROSS), level, cv2.CMP_EQ), tops)
+    is_core = np.ones(count, dtype=np.bool_)
+    is_core[0] = False
+    is_core[label.ravel()[np.flatnonzero(beside_lost)]] = False
+    return (np.cumsum(is_core, dtype=np.int32) * is_core).take(label)
+
+
+def _in_order(turn: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture in which two neighbours differ by the later turn of the two, uint8, shape (H, W, 3)."""
+    odd = turn.copy()
+    odd[::2, ::2] = 0
+    odd[1::2, 1::2] = 0
+    return np.asarray(cv2.merge([odd, turn - odd, odd]), dtype=np.uint8)
 
 
 def join_regions(
