@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from srvs_cell.cli.simulator import start_simulator, stop_simulator
 from srvs_cell.config.embedded import embedded_config
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
 _DAEMON_START_S, _DAEMON_STOP_S, _CONTROL_TIMEOUT_S = 30.0, 15.0, 30.0
 _POLL_S = 0.05
@@ -134,12 +135,15 @@ class SimulatedCell:
 
 
 @contextmanager
-def simulated_cell(options: SimulationOptions, folder: Path) -> Iterator[SimulatedCell]:
+def simulated_cell(
+    options: SimulationOptions, folder: Path, settings: Mapping[str, Any] | None = None
+) -> Iterator[SimulatedCell]:
     """Start simulator and daemon; end both on the way out, whatever happens.
 
     Args:
         options: what is simulated.
         folder: existing folder for config, calibration, logs and the daemon's state.
+        settings: keys of the config that differ from the embedded one, nested as there.
 
     Raises:
         AlarmError: SIMULATION_FAILED or NO_DAEMON with the end of the log.
@@ -158,7 +162,8 @@ def simulated_cell(options: SimulationOptions, folder: Path) -> Iterator[Simulat
         stack.callback(control.close)
         socket_path = short / "run" / "api.sock"
         config = folder / "cell.yaml"
-        write_config(config, listening, {"socket": str(socket_path), "tcp_port": None, "state_dir": "state"})
+        service = {"socket": str(socket_path), "tcp_port": None, "state_dir": "state"}
+        write_config(config, listening, _merged({"service": service}, settings or {}))
         daemon = DaemonProcess(config, socket_path, folder / "daemon.log")
         stack.callback(daemon.stop)
         daemon.start()
@@ -166,13 +171,13 @@ def simulated_cell(options: SimulationOptions, folder: Path) -> Iterator[Simulat
         yield SimulatedCell(control, daemon, client, config, process)
 
 
-def write_config(path: Path, listening: Mapping[str, Any], service: Mapping[str, Any]) -> None:
+def write_config(path: Path, listening: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
     """Write the config of a daemon for a simulated cell: the embedded one with what this simulator listens on.
 
     Args:
         path: the file; the calibration is ``calibration.yaml`` beside it.
         listening: what the simulator has printed.
-        service: keys of the section ``service`` that differ from the embedded config's.
+        settings: keys that differ from the embedded config's, nested as there.
     """
     config: dict[str, Any] = yaml.safe_load(embedded_config())
     x, y, z, w, p, r = listening["observe_pose"]
@@ -187,5 +192,13 @@ def write_config(path: Path, listening: Mapping[str, Any], service: Mapping[str,
         stroke = [[3, listening["gripper"]["max_opening_mm"]], [230, 0.0]]
         gripper = {"driver": "robotiq", "port": listening["robotiq"], "stroke": stroke, "answer_timeout_s": 5.0}
         config["devices"]["gripper"] = gripper
-    config["service"] |= service
-    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
+    path.write_text(yaml.safe_dump(_merged(config, settings), sort_keys=False), encoding="utf-8")
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with ``changes``, section by section."""
+    changed = {
+        key: _merged(base[key], value) if isinstance(value, Mapping) and key in base else value
+        for key, value in changes.items()
+    }
+    return {**base, **changed}

@@ -2,14 +2,11 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
-from srvs_cell.cli.client import DaemonClient
 from srvs_cell.cli.simulated_cell import SimulatedCell, SimulationOptions, simulated_cell
 from tests.system.test_failures import bring_up, codes, follow
 
@@ -23,14 +20,9 @@ ENDS = {"Held", "Aborted", "Complete", "Stopped"}
 @pytest.fixture
 def hasty_cell(tmp_path: Path) -> Iterator[SimulatedCell]:
     """A cell that comes down so fast that the arm stops only when it is millimetres deep in what it hits."""
-    with simulated_cell(SimulationOptions(objects=3, seed=1, imperfections="none"), tmp_path) as running:
-        running.daemon.stop()
-        config = yaml.safe_load(running.config.read_text(encoding="utf-8"))
-        config["cell"]["motion"] |= {"approach_mm": 15.0, "travel_speed_mm_s": 450.0}
-        running.config.write_text(yaml.safe_dump(config), encoding="utf-8")
-        running.daemon.start()
-        with DaemonClient(running.daemon.socket_path) as client:
-            yield replace(running, client=client)
+    hasty = {"cell": {"motion": {"approach_mm": 15.0, "travel_speed_mm_s": 450.0}}}
+    with simulated_cell(SimulationOptions(objects=3, seed=1, imperfections="none"), tmp_path, hasty) as running:
+        yield running
 
 
 def step_until(cell: SimulatedCell, reached: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
