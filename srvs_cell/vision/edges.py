@@ -30,8 +30,7 @@ _TURNS_DEG = (0.0, _PARTITION_DEG / 2.0)
 _CHANCE_PX = 1.0
 """Votes that a region may lack: along an arc half of the pixels vote for it, give or take where the rows cut it."""
 _KERNEL_SIGMAS = 4.0
-_DIFFERENCE = np.array([-0.5, 0.5], dtype=np.float32)
-_SUM = np.array([1.0, 1.0], dtype=np.float32)
+_MASK = np.array([[-0.5, 0.5], [-0.5, 0.5]], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +79,8 @@ def gradient_2x2(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArr
     It is 0 in the last row and column.
     """
     slopes = []
-    for across, down in ((_DIFFERENCE, _SUM), (_SUM, _DIFFERENCE)):
-        slope = np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, across, down, anchor=(0, 0)), dtype=np.float32)
+    for mask in (_MASK, _MASK.T):
+        slope = np.asarray(cv2.filter2D(image, cv2.CV_32F, mask, anchor=(0, 0)), dtype=np.float32)
         slope[-1], slope[:, -1] = 0.0, 0.0
         slopes.append(slope)
     return slopes[0], slopes[1]

@@ -99,7 +99,7 @@ def _cores(level: NDArray[np.uint8]) -> NDArray[np.int32]:
     beside_lost = cv2.bitwise_and(cv2.compare(cv2.dilate(lost, _CROSS), level, cv2.CMP_EQ), tops)
     is_core = np.ones(count, dtype=np.bool_)
     is_core[0] = False
-    is_core[label.ravel()[np.flatnonzero(beside_lost)]] = False
+    is_core[label.ravel()[np.flatnonzero(beside_lost > 0)]] = False
     return (np.cumsum(is_core, dtype=np.int32) * is_core).take(label)
 
 
