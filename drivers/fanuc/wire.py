@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from pymodbus.pdu import ModbusPDU
 
 
+_READ_OUTPUTS, _READ_INPUTS, _READ_WORDS, _WRITE_OUTPUT, _WRITE_WORDS = 1, 2, 3, 5, 16
+"""Function codes."""
+
+
 class ModbusWire:
     """Reads and writes words, inputs and outputs; numbers are 1-based as on the pendant.
 
@@ -64,6 +68,7 @@ class ModbusWire:
     async def read_words(self, word: int, count: int) -> list[int]:
         """Read ``count`` words from %R``word`` on (FC03)."""
         reply = await self._transact(
+            _READ_WORDS,
             f"reading {count} words from %R{word}",
             lambda client: client.read_holding_registers(word - 1, count=count, device_id=self._unit_id),
         )
@@ -75,14 +80,19 @@ class ModbusWire:
 
     async def write_words(self, word: int, values: list[int]) -> None:
         """Write words from %R``word`` on (FC16)."""
-        await self._transact(
-            f"writing {len(values)} words to %R{word}",
+        what = f"writing {len(values)} words to %R{word}"
+        reply = await self._transact(
+            _WRITE_WORDS,
+            what,
             lambda client: client.write_registers(word - 1, values, device_id=self._unit_id),
         )
+        if (reply.address, reply.count) != (word - 1, len(values)):
+            raise self._another(what)
 
     async def read_input(self, number: int) -> bool:
         """Read DI[number] (FC02)."""
         reply = await self._transact(
+            _READ_INPUTS,
             f"reading DI[{number}]",
             lambda client: client.read_discrete_inputs(number - 1, count=1, device_id=self._unit_id),
         )
@@ -91,6 +101,7 @@ class ModbusWire:
     async def read_output(self, number: int) -> bool:
         """Read DO[number] back (FC01)."""
         reply = await self._transact(
+            _READ_OUTPUTS,
             f"reading DO[{number}]",
             lambda client: client.read_coils(number - 1, count=1, device_id=self._unit_id),
         )
@@ -98,10 +109,14 @@ class ModbusWire:
 
     async def write_output(self, number: int, *, on: bool) -> None:
         """Write DO[number] (FC05)."""
-        await self._transact(
-            f"writing DO[{number}]",
+        what = f"writing DO[{number}]"
+        reply = await self._transact(
+            _WRITE_OUTPUT,
+            what,
             lambda client: client.write_coil(number - 1, on, device_id=self._unit_id),
         )
+        if (reply.address, reply.bits[:1]) != (number - 1, [on]):
+            raise self._another(what)
 
     def _first_bit(self, reply: ModbusPDU) -> bool:
         if not reply.bits:
@@ -120,7 +135,9 @@ class ModbusWire:
                 waiting.set_exception(ConnectionException("the connection has gone"))
                 waiting.exception()  # whoever waited may have been cancelled
 
-    async def _transact(self, what: str, request: Callable[[AsyncModbusTcpClient], Awaitable[ModbusPDU]]) -> ModbusPDU:
+    async def _transact(
+        self, function: int, what: str, request: Callable[[AsyncModbusTcpClient], Awaitable[ModbusPDU]]
+    ) -> ModbusPDU:
         """Send one request, when the one before it has ended, and return its answer; pymodbus matches them by id."""
         task = asyncio.current_task()
         cancelled_before = task.cancelling() if task is not None else 0
@@ -137,7 +154,12 @@ class ModbusWire:
                 Alarm.PROTOCOL_ERROR,
                 f"{self.address}: {what}: the controller answers Modbus exception {reply.exception_code}.",
             )
+        if reply.function_code != function:
+            raise self._another(what)
         return reply
+
+    def _another(self, what: str) -> PortError:
+        return PortError(Alarm.PROTOCOL_ERROR, f"{self.address}: {what}: the answer is to another request.")
 
     async def _answer(self, what: str, request: Callable[[AsyncModbusTcpClient], Awaitable[ModbusPDU]]) -> ModbusPDU:
         client = self._client

@@ -49,11 +49,13 @@ _ABBREVIATIONS: Final = {
 
 
 def spelled_out(packet: dict[str, Any]) -> dict[str, Any]:
-    """Return a packet with every key that the manual lets a client abbreviate in full."""
-    return {
-        _ABBREVIATIONS.get(key, key): spelled_out(value) if isinstance(value, dict) else value
-        for key, value in packet.items()
-    }
+    """Return a packet with the keys in full that the manual lets a client abbreviate: its own and its groups'."""
+    full = _with_full_keys(packet)
+    return {key: _with_full_keys(value) if isinstance(value, dict) else value for key, value in full.items()}
+
+
+def _with_full_keys(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {_ABBREVIATIONS.get(key, key): value for key, value in values.items()}
 
 
 def refusal(name: str, packet: Mapping[str, Any], posture: Mapping[str, int], *, jointed: bool) -> int:

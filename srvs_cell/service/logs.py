@@ -13,7 +13,12 @@ if TYPE_CHECKING:
 
     from structlog.typing import Processor
 
-_TALKATIVE = ("uvicorn", "pymodbus", "asyncio", "sse_starlette")
+_LEVELS = {
+    "uvicorn": logging.WARNING,
+    "asyncio": logging.WARNING,
+    "sse_starlette": logging.WARNING,
+    "pymodbus": logging.CRITICAL,  # its errors are dumps of packets; the drivers name what has failed
+}
 
 
 def configure_logs(stream: TextIO = sys.stderr, level: int = logging.INFO) -> None:
@@ -49,5 +54,5 @@ def configure_logs(stream: TextIO = sys.stderr, level: int = logging.INFO) -> No
     root = logging.getLogger()
     root.handlers = [handler]
     root.setLevel(level)
-    for name in _TALKATIVE:
-        logging.getLogger(name).setLevel(logging.WARNING)
+    for name, least in _LEVELS.items():
+        logging.getLogger(name).setLevel(least)

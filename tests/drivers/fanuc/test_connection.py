@@ -196,7 +196,7 @@ def test_a_wrong_config_names_what_is_wrong(settings: dict[str, object], named: 
         (struct.pack(">BHH", 3, 0, 126), bytes([0x83, 3])),
         (struct.pack(">BHHBB", 15, 0, 3, 1, 0b101), struct.pack(">BHH", 15, 0, 3)),
         (struct.pack(">BHH", 1, 0, 9), bytes([1, 2, 0b001, 0])),
-        (struct.pack(">BHH", 2, 600, 1), bytes([0x82, 3])),
+        (struct.pack(">BHH", 2, 600, 1), bytes([0x82, 2])),
     ],
 )
 async def test_the_double_speaks_modbus_to_any_client(request_pdu: bytes, answer_pdu: bytes) -> None:
