@@ -4,9 +4,13 @@
 
 The real unit with its steps, planner, validator and journal drives the simulated arm and gripper in MuJoCo; only the
 wires and the eyes are left out: the unit is told the true poses. Each scene has 5 to 10 parts at random places a few
-millimetres apart; some are said to be of unknown shape. At every step of the physics the contacts are looked at: hand
-against any part but the one it stands above, and any part against any other. With ``--plan-only``
+millimetres apart that the camera shows whole; some are said to be of unknown shape. Plans keep to what all pictures
+show, computed from the calibration of a drawn camera as in the cell. At every step of the physics the contacts are
+looked at: hand against any part but the one it stands above, and any part against any other. With ``--plan-only``
 nothing is carried out: what the planner says, and how much of it is proven.
+
+That a refusal is true is looked up by a search of its own that knows only what the validator allows, with a far place
+for each part to wait in: where even so there is no plan there is none.
 """
 
 from __future__ import annotations
@@ -23,29 +27,31 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import yaml
 
 from drivers.sim.arm import CLOSE_OUTPUT, HELD_INPUT, OPEN_INPUT, OPEN_OUTPUT, SimArm
 from drivers.sim.controlled_arm import MotionRefusedError
 from drivers.sim.doubles import FakeArm, FakeCamera, FakeGripper, StepClock
 from drivers.sim.doubles import World as NoWorld
-from drivers.sim.gripper_geometry import GripperGeometry
-from drivers.sim.imperfections import LEVELS
+from drivers.sim.gripper_geometry import CameraMount, GripperGeometry
+from drivers.sim.imperfections import LEVELS, make_camera, write_calibration
 from drivers.sim.kinematics import Kinematics
 from drivers.sim.parts import CUBOID, CYLINDER, KINDS, PRISM
 from drivers.sim.scenario import ScenarioParameters, _shape
 from drivers.sim.simulation import OBSERVE_POSE, TABLE_CENTRE_MM
 from drivers.sim.world import World
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.calibration import Calibration, CameraIntrinsics, HandEye
+from srvs_cell.calibration import Calibration
 from srvs_cell.cell import Command, Devices, Equipment, Journal, RunRecorder, Unit
 from srvs_cell.config import parse_config
 from srvs_cell.config.embedded import embedded_config
 from srvs_cell.geometry import Transform
-from srvs_cell.planning import Workspace, has_plan, plan_relocation
+from srvs_cell.planning import Problem, RankGoal, Workspace, has_plan, plan_relocation, validate
 from srvs_cell.planning.clearance import convex_hull, too_close
 from srvs_cell.planning.problem import Polygon
 from srvs_cell.ports import CommandRejectedError, DeviceFaultError, GripState
-from srvs_cell.scene import UNKNOWN_KIND, Grasp, Perception, PlaneImage, PlanStatus, Workpiece
+from srvs_cell.scene import UNKNOWN_KIND, Grasp, Move, Perception, Place, PlaceKind, PlaneImage, PlanStatus, Workpiece
+from srvs_cell.service.common_view import CommonView
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +62,7 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Xyzwpr
     from srvs_cell.planning import CellPlan, KeptPlaces
 
-WIDTH_PX, HEIGHT_PX = 64, 48
+WIDTH_PX, HEIGHT_PX = 640, 480
 HALF_TABLE_MM = (115.0, 145.0)
 GAPS_MM = (4.0, 20.0)
 UNKNOWN_SHARE = 0.1
@@ -70,9 +76,19 @@ LOOK_EVERY = 3
 
 BETWEEN_FINGERS_MM = 8.0
 DISTURBED_MM = 1.0
-AS_WANTED = {"carried out", "refused", "planned, proven", "planned, moves proven", "planned"}
+AS_WANTED = {
+    "carried out",
+    "refused",
+    "refused, truly",
+    "refused, not looked up",
+    "planned, proven",
+    "planned, moves proven",
+    "planned",
+}
 REFUSALS = {"PLAN_INFEASIBLE", "NO_BUFFER_PLACE", "UNCERTAIN_POSITION"}
 RIGHT_MM = 5.0
+MOST_STATES = 5000
+"""Arrangements that are looked at for a refusal."""
 
 
 def main() -> None:
@@ -92,7 +108,7 @@ def main() -> None:
             for contact, count in result.contacts.items():
                 print(f"    {contact}: {count} steps", flush=True)
     how = Counter(result.how for result in results)
-    reasons = Counter(result.alarm for result in results if result.how == "refused")
+    reasons = Counter(result.alarm for result in results if result.how.startswith("refused"))
     print(f"{len(results)} scenes, {sum(result.parts for result in results)} parts: {dict(how)}")
     print(f"refused with: {dict(reasons)}")
     print(f"moves: {sum(result.moves for result in results)}")
@@ -207,8 +223,8 @@ class PhysicsGripper(FakeGripper):
                 return
 
 
-def crowded_parts(random: np.random.Generator) -> tuple[Part, ...]:
-    """Return 5 to 10 parts, each at least a random gap away from every other, room for fingers or not."""
+def crowded_parts(random: np.random.Generator, view: CommonView) -> tuple[Part, ...]:
+    """Return 5 to 10 parts in view, each at least a random gap away from every other, room for fingers or not."""
     limits = ScenarioParameters()
     while True:
         count = int(random.integers(5, 11))
@@ -221,11 +237,18 @@ def crowded_parts(random: np.random.Generator) -> tuple[Part, ...]:
             for _ in range(200):
                 x_mm, y_mm = random.uniform(-1.0, 1.0, 2) * HALF_TABLE_MM + TABLE_CENTRE_MM[:2]
                 trial = replace(part, x_mm=float(x_mm), y_mm=float(y_mm))
-                if not any(_near(trial, other, gap_mm) for other in placed):
+                if _in_view(trial, view) and not any(_near(trial, other, gap_mm) for other in placed):
                     placed.append(trial)
                     break
         if len(placed) == count:
             return tuple(placed)
+
+
+def _in_view(part: Part, view: CommonView) -> bool:
+    """Tell whether both pictures from the observe pose show the whole of a part, foot and top."""
+    at_mm = part.footprint_mm() + np.array([part.x_mm, part.y_mm])
+    solid = [np.column_stack([at_mm, np.full(len(at_mm), height_mm)]) for height_mm in (0.0, part.height_mm)]
+    return bool(view.sees(np.concatenate(solid), from_aside=False).all())
 
 
 def _near(one: Part, other: Part, gap_mm: float) -> bool:
@@ -281,7 +304,10 @@ def _grasp(part: Part, yaw_deg: float, point_mm: tuple[float, float], table_z_mm
 def run_scene(seed: int, *, plan_only: bool) -> Result:
     """Plan one scene and carry it out."""
     random = np.random.default_rng([seed, 77])
-    parts = crowded_parts(random)
+    config = parse_config(embedded_config(), "embedded")
+    calibration = drawn_calibration(np.random.default_rng([seed, 78]))
+    view = CommonView.of(config.cell, calibration)
+    parts = crowded_parts(random, view)
     unknown = (random.random(len(parts)) < UNKNOWN_SHARE).tolist()
     gripper = GripperGeometry()
     world = World(parts, gripper, TABLE_CENTRE_MM, Transform.from_xyzwpr("base", "tcp", OBSERVE_POSE).matrix)
@@ -297,39 +323,100 @@ def run_scene(seed: int, *, plan_only: bool) -> Result:
     physics = Physics(world, arm)
     for _ in range(SETTLE_STEPS):
         physics.step()
-    config = parse_config(embedded_config(), "embedded")
     # Perfect eyes need no second look; that the cell looks after each move changes nothing but the time.
     look = replace(config.cell.look, agreeing_looks=1, verify="each_plan")
     config = replace(config, cell=replace(config.cell, look=look, unmovable_parts="leave"))
     if plan_only:
-        return _planned(config, true_workpieces(world, unknown))
+        return _planned(config, view, true_workpieces(world, unknown))
     with tempfile.TemporaryDirectory(prefix="srvs-") as folder:
-        return asyncio.run(_run(config, physics, unknown, Path(folder)))
+        return asyncio.run(_run(config, calibration, view, physics, unknown, Path(folder)))
 
 
-def _plan(config: CellConfig, workpieces: Sequence[Workpiece], kept: KeptPlaces | None = None) -> CellPlan:
+def drawn_calibration(random: np.random.Generator) -> Calibration:
+    """Return what the calibration file says of a camera of the simulated cell."""
+    with tempfile.TemporaryDirectory(prefix="srvs-") as folder:
+        path = Path(folder) / "calibration.yaml"
+        write_calibration(make_camera(LEVELS["real"], CameraMount().transform(), random), path)
+        return Calibration.from_mapping(yaml.safe_load(path.read_text(encoding="utf-8")), path.name)
+
+
+def _plan(
+    config: CellConfig, view: CommonView, workpieces: Sequence[Workpiece], kept: KeptPlaces | None = None
+) -> CellPlan:
     box = config.cell.workspace
-    workspace = Workspace(*box.x_mm, *box.y_mm)
+    workspace = Workspace(*box.x_mm, *box.y_mm, view)
     return plan_relocation(workpieces, config.planning, workspace, hand=config.cell.hand(), kept=kept)
 
 
-def _planned(config: CellConfig, workpieces: Sequence[Workpiece]) -> Result:
+def is_possible(problem: Problem) -> bool | None:
+    """Tell whether a problem has a plan with a far place for each part to wait in, by what the validator allows.
+
+    None where that is too much to look at.
+    """
+    count = len(problem.places)
+    far = tuple(Place(count + item.id, 1e4 + 1e3 * item.id, 1e4, PlaceKind.BUFFER) for item in problem.objects)
+    wide = replace(problem, places=problem.places + far)
+    if isinstance(problem.goal, RankGoal):
+        goals = [_ranks(problem.goal, item.height_mm, problem) for item in problem.objects]
+    else:
+        goals = list(problem.goal.allowed)
+    start = tuple(item.start for item in problem.objects)
+    waiting, seen = [start], {start}
+    while waiting and len(seen) < MOST_STATES:
+        stands = waiting.pop()
+        here = replace(wide, objects=tuple(replace(i, start=p) for i, p in zip(wide.objects, stands, strict=True)))
+        if not validate(here, []):
+            return True
+        for item, origin in enumerate(stands):
+            for target in goals[item] | {count + item}:
+                after = (*stands[:item], target, *stands[item + 1 :])
+                # Waiting hinders nobody: whoever has left his place for another goal can as well wait.
+                if after in seen or (origin != start[item] and origin < count):
+                    continue
+                if not any(said.startswith("move 1") for said in validate(here, [Move(item, origin, target)])):
+                    seen.add(after)
+                    waiting.append(after)
+    return None if waiting else False
+
+
+def _ranks(goal: RankGoal, height_mm: float, problem: Problem) -> frozenset[int]:
+    """Return the slots on which a part of a height may end: those certainly taller stand before, lower ones behind."""
+    first = sum(other.height_mm > height_mm + goal.tolerance_mm for other in problem.objects)
+    behind = sum(other.height_mm < height_mm - goal.tolerance_mm for other in problem.objects)
+    return frozenset(goal.slots[first : len(goal.slots) - behind])
+
+
+def _refused(problem: Problem) -> str:
+    """Return what a refusal is found to be."""
+    possible = is_possible(problem)
+    return "refused, not looked up" if possible is None else "refused, falsely" if possible else "refused, truly"
+
+
+def _planned(config: CellConfig, view: CommonView, workpieces: Sequence[Workpiece]) -> Result:
     """Say what the planner makes of a scene."""
     try:
-        made = _plan(config, workpieces)
+        made = _plan(config, view, workpieces)
     except AlarmError as error:
         if error.alarm.name not in REFUSALS:
             raise
         return Result(len(workpieces), "refused", error.alarm.name, error.detail, 0, Counter())
     answer = made.relocation
     if not has_plan(answer):
-        how = "refused" if answer.status is PlanStatus.INFEASIBLE else "search ended at its cap"
+        infeasible = answer.status is PlanStatus.INFEASIBLE
+        how = _refused(made.table.problem) if infeasible else "search ended at its cap"
         return Result(len(workpieces), how, "PLAN_INFEASIBLE", "; ".join(answer.reasons), 0, Counter())
     proven = ", proven" if answer.travel_proven else ", moves proven" if answer.moves_proven else ""
     return Result(len(workpieces), f"planned{proven}", "", "", len(made.moves), Counter())
 
 
-async def _run(config: CellConfig, physics: Physics, unknown: Sequence[bool], folder: Path) -> Result:
+async def _run(
+    config: CellConfig,
+    calibration: Calibration,
+    view: CommonView,
+    physics: Physics,
+    unknown: Sequence[bool],
+    folder: Path,
+) -> Result:
     clock = StepClock()
     arm = PhysicsArm(clock, physics)
     journal = Journal(folder / "journal.sqlite")
@@ -341,7 +428,7 @@ async def _run(config: CellConfig, physics: Physics, unknown: Sequence[bool], fo
         return Perception(image, image, (), nothing, (), true_workpieces(physics.world, unknown), {})
 
     def plan(workpieces: Sequence[Workpiece], kept: KeptPlaces | None) -> CellPlan:
-        plans.append(_plan(config, workpieces, kept))
+        plans.append(_plan(config, view, workpieces, kept))
         return plans[-1]
 
     equipment = Equipment(
@@ -349,12 +436,7 @@ async def _run(config: CellConfig, physics: Physics, unknown: Sequence[bool], fo
         devices=Devices(clock, FakeCamera(clock, (WIDTH_PX, HEIGHT_PX)), arm, PhysicsGripper(clock, physics, arm)),
         journal=journal,
         recorder=RunRecorder(folder),
-        calibration=Calibration(
-            camera=CameraIntrinsics(
-                width=WIDTH_PX, height=HEIGHT_PX, fx=60.0, fy=60.0, cx=31.5, cy=23.5, distortion=(0.0,) * 5
-            ),
-            hand_eye=HandEye(xyz_mm=(75.0, 0.0, -140.0), wpr_deg=(0.0, 0.0, 90.0)),
-        ),
+        calibration=calibration,
         perceive=perceive,
         plan=plan,
         pictures=lambda _: {},
@@ -403,7 +485,7 @@ def _judge(physics: Physics, snapshot: dict[str, Any], end: str, plans: list[Cel
         if wrong:
             how, said = "carried out wrongly", wrong
     elif end == "Held" and moves == 0 and alarm in REFUSALS:
-        how = "refused"
+        how = _refused(plans[0].table.problem) if plans else "refused"
     return Result(len(physics.world.parts), how, alarm, said, moves, physics.contacts)
 
 

@@ -144,6 +144,8 @@ class Workpiece:
         surfaces: ids of the surfaces that it is made of.
         grasp: how to take it; None where it cannot be taken, with ``grasp_refusal``.
         grasp_refusal: why there is no grasp; empty where there is one.
+        rise_deg: direction in which an inclined top face rises, from base x towards base y, modulo 360; None where it
+            is level, and for an object of several faces.
     """
 
     id: int
@@ -157,6 +159,7 @@ class Workpiece:
     surfaces: tuple[int, ...]
     grasp: Grasp | None
     grasp_refusal: str = ""
+    rise_deg: float | None = None
 
 
 @dataclass(frozen=True)

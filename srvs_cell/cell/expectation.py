@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from srvs_cell.geometry import wrap_angle_deg
-from srvs_cell.planning import footprint_centroid_mm, yaw_period_deg
+from srvs_cell.planning import footprint_centroid_mm, turned, turned_deg
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,7 +29,7 @@ _BIN_MM = 50.0
 
 @dataclass(frozen=True)
 class Expected:
-    """A workpiece, its yaw as it should be by now, and where its footprint's centroid should be.
+    """A workpiece, its yaw and rise as they should be by now, and where its footprint's centroid should be.
 
     In a bin it need not be seen.
     """
@@ -69,9 +68,7 @@ def expected_now(plan: CellPlan, workpieces: Sequence[Workpiece], carried: Mappi
         point_mm, part = footprint_centroid_mm(workpiece.footprint_mm), workpiece
         if workpiece.id in carried:
             carry = carried[workpiece.id]
-            point_mm = carry.to_mm
-            if workpiece.yaw_deg is not None:
-                part = replace(workpiece, yaw_deg=workpiece.yaw_deg + carry.turn_deg)
+            point_mm, part = carry.to_mm, turned(workpiece, carry.turn_deg)
         in_bin = any(math.dist(point_mm, bin_mm) < _SAME_POINT_MM for bin_mm in bins_mm)
         found.append(Expected(part, point_mm, in_bin))
     return tuple(found)
@@ -87,13 +84,13 @@ def compare(expected: Sequence[Expected], seen: Sequence[Workpiece], tolerance: 
     points_mm = [footprint_centroid_mm(workpiece.footprint_mm) for workpiece in seen]
     shape = (len(expected), len(seen))
     distance_mm = np.array([[math.dist(each.point_mm, point) for point in points_mm] for each in expected])
-    turned_deg = np.array([[_turned_deg(each.workpiece, other) for other in seen] for each in expected])
+    off_deg = np.array([[abs(turned_deg(each.workpiece, other)) for other in seen] for each in expected])
     higher_mm = np.array(
         [[other.position_mm[2] - each.workpiece.position_mm[2] for other in seen] for each in expected]
     )
-    distance_mm, turned_deg = distance_mm.reshape(shape), turned_deg.reshape(shape)
+    distance_mm, off_deg = distance_mm.reshape(shape), off_deg.reshape(shape)
     alike = np.abs(higher_mm.reshape(shape)) <= tolerance.verify_height_mm
-    here = (distance_mm <= tolerance.verify_mm) & (turned_deg <= tolerance.verify_deg)
+    here = (distance_mm <= tolerance.verify_mm) & (off_deg <= tolerance.verify_deg)
     standing = _pairs(distance_mm, alike & here)
     missed = [i for i, each in enumerate(expected) if i not in standing and not each.in_bin]
     bins_mm = [each.point_mm for each in expected if each.in_bin]
@@ -111,8 +108,8 @@ def compare(expected: Sequence[Expected], seen: Sequence[Workpiece], tolerance: 
             continue
         j = strange[moved[row]]
         how = f"{distance_mm[i, j]:.1f} mm from {_text(expected[i].point_mm)}, at {_text(points_mm[j])}"
-        turned = f", turned by {turned_deg[i, j]:.0f} deg" if turned_deg[i, j] > tolerance.verify_deg else ""
-        changes.append(f"{where} is {how}{turned}")
+        also = f", turned by {off_deg[i, j]:.0f} deg" if off_deg[i, j] > tolerance.verify_deg else ""
+        changes.append(f"{where} is {how}{also}")
     added = [j for column, j in enumerate(strange) if column not in moved.values()]
     changes += [f"a {seen[j].kind} part stands at {_text(points_mm[j])} that was not there" for j in added]
     return Comparison(
@@ -130,13 +127,6 @@ def _pairs(distance_mm: Array, allowed: NDArray[np.bool_]) -> dict[int, int]:
     cost_mm = np.where(allowed, distance_mm, _NO_PAIR_MM)
     rows, columns = linear_sum_assignment(cost_mm)
     return {int(i): int(j) for i, j in zip(rows, columns, strict=True) if allowed[i, j]}
-
-
-def _turned_deg(one: Workpiece, other: Workpiece) -> float:
-    """Return by how much two sightings of a part differ in yaw; 0 where one of them has none."""
-    if one.yaw_deg is None or other.yaw_deg is None:
-        return 0.0
-    return abs(wrap_angle_deg(one.yaw_deg - other.yaw_deg, yaw_period_deg(one, other)))
 
 
 def _text(point_mm: Point2) -> str:

@@ -2,7 +2,7 @@
 
 from srvs_cell.planning.arm import ArmParameters
 from srvs_cell.planning.buffers import Workspace
-from srvs_cell.planning.carrying import Carry, yaw_period_deg
+from srvs_cell.planning.carrying import Carry, turned, turned_deg
 from srvs_cell.planning.explain import explain, what_would_help
 from srvs_cell.planning.hand import Approach, HandMotion
 from srvs_cell.planning.kept_places import KeptPlaces
@@ -81,8 +81,9 @@ __all__ = [
     "plan_to_json",
     "read_problems",
     "table_problem",
+    "turned",
+    "turned_deg",
     "validate",
     "what_would_help",
     "why_not_taken",
-    "yaw_period_deg",
 ]

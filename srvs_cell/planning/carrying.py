@@ -12,7 +12,7 @@ from srvs_cell.geometry import wrap_angle_deg
 if TYPE_CHECKING:
     from srvs_cell.scene import Grasp, Point2, Workpiece
 
-_HALF_TURN_DEG, _QUARTER_DEG = 180.0, 90.0
+_WHOLE_TURN_DEG, _HALF_TURN_DEG, _QUARTER_DEG = 360.0, 180.0, 90.0
 _OBLONG = 1.2
 """Length over width from which on long and short side are not mistaken for each other."""
 
@@ -47,18 +47,34 @@ class Carry:
         return replace(grasp, position_mm=position_mm, yaw_deg=grasp.yaw_deg + self.turn_deg, others=())
 
 
-def yaw_period_deg(*sightings: Workpiece) -> float:
-    """Return the turn after which a part looks the same: half of one, or a quarter where its sides are nearly equal.
+def turned_deg(one: Workpiece, other: Workpiece) -> float:
+    """Return by how much a sighting of a part is turned against another, as far as its shape tells.
 
-    Args:
-        sightings: of one part; each must tell long and short side apart.
+    An inclined top tells all of it. A level one looks the same after half a turn, and after a quarter of one where its
+    sides are nearly equal; a part without a yaw looks the same always.
     """
-    oblong = all(part.size_mm[0] > _OBLONG * part.size_mm[1] for part in sightings)
-    return _HALF_TURN_DEG if oblong else _QUARTER_DEG
+    if one.rise_deg is not None and other.rise_deg is not None:
+        return wrap_angle_deg(other.rise_deg - one.rise_deg, _WHOLE_TURN_DEG)
+    if one.yaw_deg is None or other.yaw_deg is None:
+        return 0.0
+    oblong = all(part.size_mm[0] > _OBLONG * part.size_mm[1] for part in (one, other))
+    return wrap_angle_deg(other.yaw_deg - one.yaw_deg, _HALF_TURN_DEG if oblong else _QUARTER_DEG)
+
+
+def turned(workpiece: Workpiece, turn_deg: float) -> Workpiece:
+    """Return a workpiece whose yaw and rise are those after a turn; all else is as it was seen."""
+    yaw_deg, rise_deg = (
+        None if angle_deg is None else angle_deg + turn_deg for angle_deg in (workpiece.yaw_deg, workpiece.rise_deg)
+    )
+    return replace(workpiece, yaw_deg=yaw_deg, rise_deg=rise_deg)
 
 
 def turn_to_deg(workpiece: Workpiece, yaw_deg: float) -> float:
-    """Return the least turn that gives a workpiece a yaw, as far as its shape has one; 0 for cylinder and prism."""
+    """Return the least turn after which a workpiece stands at a yaw; 0 for cylinder and prism.
+
+    The yaw is that of the long side; of a part with an inclined top it is the direction in which that rises.
+    """
     if workpiece.yaw_deg is None:
         return 0.0
-    return wrap_angle_deg(yaw_deg - workpiece.yaw_deg, yaw_period_deg(workpiece))
+    there = replace(workpiece, yaw_deg=yaw_deg, rise_deg=None if workpiece.rise_deg is None else yaw_deg)
+    return turned_deg(workpiece, there)

@@ -58,6 +58,13 @@ class Face:
         return float(np.rad2deg(np.arctan(np.hypot(self.slope_u, self.slope_v))))
 
     @property
+    def rise_deg(self) -> float | None:
+        """Direction in which the face rises, from base x towards base y, 0 to 360; None where it is level."""
+        if self.slope_u == self.slope_v == 0.0:
+            return None
+        return float(np.rad2deg(self.angle_rad + np.arctan2(self.slope_v, self.slope_u))) % 360.0
+
+    @property
     def highest_mm(self) -> float:
         """Height of the highest corner, base frame."""
         return float(self.corners_mm()[:, 2].max())

@@ -99,6 +99,7 @@ def make_workpiece(
         surfaces=tuple(surface for one in members for surface in one.surfaces),
         grasp=grasp,
         grasp_refusal=refusal,
+        rise_deg=body.rise_deg,
     )
 
 

@@ -40,6 +40,13 @@ def test_parts_within_the_tolerances_stand_as_expected() -> None:
     assert found.errors_mm == {400: 3.0, 600: 4.0}
 
 
+def test_a_wedge_that_stands_the_wrong_way_round_is_noticed() -> None:
+    wedge = replace(part(300.0, 0.0, yaw_deg=20.0), rise_deg=20.0)
+    assert not changes([(wedge, (300.0, 0.0))], [replace(wedge, rise_deg=378.0)])
+    (change,) = changes([(wedge, (300.0, 0.0))], [replace(wedge, rise_deg=200.0)])
+    assert "turned by 180 deg" in change
+
+
 @pytest.mark.parametrize(
     ("looked", "said"),
     [

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srvs_cell.alarms import AlarmError
+from srvs_cell.geometry import Xyzwpr
 from srvs_cell.planning import (
     AssignGoal,
     Carry,
@@ -27,7 +28,7 @@ from srvs_cell.planning import (
     plan_svg,
     validate,
 )
-from srvs_cell.planning.carrying import turn_to_deg
+from srvs_cell.planning.carrying import turn_to_deg, turned, turned_deg
 from srvs_cell.planning.clearance import conflict_table
 from srvs_cell.planning.timing import cell_timing
 from srvs_cell.scene import Move, Place, PlaceKind, PlanStatus, Workpiece
@@ -54,6 +55,37 @@ def test_a_part_is_turned_by_the_least_that_looks_the_same(
     part = workpiece(0, (450, 0), 60, size_mm=size_mm, yaw_deg=seen_deg)
     assert turn_to_deg(part, wanted_deg) == pytest.approx(turn_deg)
     assert turn_to_deg(dataclasses.replace(part, yaw_deg=None), wanted_deg) == 0.0
+
+
+def _wedge(number: int, xy_mm: tuple[float, float], rise_deg: float, **more: float) -> Workpiece:
+    part = workpiece(number, xy_mm, 60, yaw_deg=rise_deg % 180.0, kind="wedge", **more)  # type: ignore[arg-type]
+    return dataclasses.replace(part, rise_deg=rise_deg)
+
+
+@pytest.mark.parametrize(
+    ("rise_deg", "wanted_deg", "turn_deg"), [(10.0, 190.0, 180.0), (350.0, 10.0, 20.0), (100.0, -90.0, 170.0)]
+)
+def test_an_inclined_part_is_turned_until_it_rises_where_it_should(
+    rise_deg: float, wanted_deg: float, turn_deg: float
+) -> None:
+    part = _wedge(0, (450, 0), rise_deg)
+    assert abs(turn_to_deg(part, wanted_deg)) == pytest.approx(turn_deg)
+    put_down = turned(part, turn_to_deg(part, wanted_deg))
+    assert turned_deg(put_down, dataclasses.replace(part, rise_deg=wanted_deg)) == pytest.approx(0.0)
+    # Where one of two looks has not seen the slope, both are compared as level parts are.
+    assert turned_deg(part, dataclasses.replace(part, rise_deg=None, yaw_deg=rise_deg + 180.0)) == pytest.approx(0.0)
+
+
+def test_a_wedge_that_stands_the_wrong_way_round_is_put_back() -> None:
+    places = (NominalPlace(kind="wedge", x_mm=450.0, y_mm=0.0, yaw_deg=30.0),)
+    rule = PositionCorrection(places=places)
+    assert _plan([_wedge(0, (450, 0), 31.0)], rule).moves == ()
+    made = _plan([_wedge(0, (450, 0), 211.0)], rule)
+    assert [abs(round(move.turn_deg)) for move in made.moves if move.turn_deg] == [179]
+    (last,) = [move for move in made.moves if move.turn_deg]
+    (stop,) = HAND.halfway(Xyzwpr(*last.to_mm, 100.0, 180.0, 0.0, 90.0), last.carry)
+    assert stop.r_deg == pytest.approx(90.0 - last.turn_deg / 2.0)
+    assert (stop.x_mm, stop.y_mm) == pytest.approx(np.mean([last.from_mm, last.to_mm], axis=0))
 
 
 def test_a_carry_moves_the_footprint_and_the_grasp_alike() -> None:

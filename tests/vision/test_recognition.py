@@ -51,6 +51,15 @@ def test_kind_place_and_size_of_each_part(seen: tuple[Workpiece, ...], number: i
         assert workpiece.yaw_deg is None
 
 
+def test_only_the_wedge_rises_and_it_is_known_where_to(seen: tuple[Workpiece, ...]) -> None:
+    rises = [workpiece.rise_deg for workpiece in seen if workpiece.kind != "wedge"]
+    assert rises == [None] * 3
+    upwards = PARTS[3].face.normal()
+    rise_deg = of_surface(seen, 4).rise_deg
+    assert rise_deg is not None
+    assert abs(wrap_angle_deg(rise_deg - np.rad2deg(np.arctan2(-upwards[1], -upwards[0])), 360.0)) < 0.6
+
+
 def test_every_part_once_highest_first(seen: tuple[Workpiece, ...]) -> None:
     assert len(seen) == len(PARTS)
     assert [workpiece.id for workpiece in seen] == list(range(len(PARTS)))
