@@ -65,8 +65,8 @@ class Readiness:
         failed = []
         for name, device in self._devices.named():
             try:
-                if self._notices.contact_lost:
-                    await device.disconnect()
+                if self._notices.contact_lost or device is self._devices.camera:
+                    await device.disconnect()  # a camera that is open and not read does not tell that it is gone
                 await self._reach(device)
                 if device is self._devices.arm:
                     await self._end_fault()

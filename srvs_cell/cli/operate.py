@@ -25,7 +25,11 @@ COMMANDS = {
 }
 """The PackML commands, as operators type them, and what they are for."""
 
-_REFUSED, _MISUSED = 1, 2
+_VERIFYING = {"clear": "Stopped", "reset": "Idle"}
+"""Commands that look whether all is there, and the state that says so."""
+
+_ON_THE_WAY = frozenset({"Clearing", "Resetting", "Stopping", "Aborting"})
+_REFUSED, _MISUSED, _FAILED = 1, 2, 1
 _WIDTH = 12
 
 Socket = Annotated[Path, typer.Option("--socket", help="The daemon's unix socket; also $SRVS_CELL_SOCKET.")]
@@ -104,15 +108,23 @@ def show_history(*, limit: Limit = 50, as_json: Json = False, socket: Socket = D
 
 def _sender(name: str) -> Callable[..., None]:
     def send(*, as_json: Json = False, socket: Socket = DEFAULT_SOCKET) -> None:
-        _send(socket, f"command/{name}", None, as_json=as_json)
+        _send(socket, f"command/{name}", None, wanted=_VERIFYING.get(name), as_json=as_json)
 
     return send
 
 
-def _send(socket: Path, name: str, body: dict[str, str] | None, *, as_json: bool) -> None:
-    """Give a command; exit code 1 where it is refused, 2 where it makes no sense, with the reason on stderr."""
+def _send(socket: Path, name: str, body: dict[str, str] | None, *, as_json: bool, wanted: str | None = None) -> None:
+    """Give a command; exit code 1 where it is refused, 2 where it makes no sense, with the reason on stderr.
+
+    Where it ends in a state that is ``wanted`` that is waited for; another one is exit code 1, with the alarms.
+    """
+    alarms: list[dict[str, Any]] = []
     with DaemonClient(socket) as daemon:
         answer = daemon.command(name, body)
+        if answer["accepted"] and wanted is not None:
+            reached = next(status for status in daemon.changes() if status["state"] not in _ON_THE_WAY)
+            answer["state"] = reached["state"]
+            alarms = [] if reached["state"] == wanted else reached["alarms"]
     if as_json:
         typer.echo(json.dumps(answer))
     if not answer["accepted"]:
@@ -120,6 +132,9 @@ def _send(socket: Path, name: str, body: dict[str, str] | None, *, as_json: bool
         raise typer.Exit(_REFUSED if answer["alarm"] else _MISUSED)
     if not as_json:
         typer.echo(answer["state"])
+    if alarms:
+        typer.echo("\n".join(f"srvs-cell: {_alarm_text(alarm)}" for alarm in alarms), err=True)
+        raise typer.Exit(_FAILED)
 
 
 def _refusal_text(answer: dict[str, Any]) -> str:
@@ -160,7 +175,7 @@ def _workpiece_text(workpiece: dict[str, Any]) -> str:
 
 
 def _alarm_text(alarm: dict[str, Any]) -> str:
-    lines = [f"{alarm['at']}  [{alarm['code']} {alarm['name']}] {alarm['detail']}"]
+    lines = [f"{alarm.get('at', alarm.get('since'))}  [{alarm['code']} {alarm['name']}] {alarm['detail']}"]
     lines += [f"  {name.capitalize()}: {alarm[name]}" for name in ("cause", "remedy") if name in alarm]
     return "\n".join(lines)
 

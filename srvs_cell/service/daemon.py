@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _LOOPBACK = "127.0.0.1"
 _RUNS = "runs"
 _STOP_S, _ABORT_S, _LEAVE_S = 10.0, 5.0, 5.0  # together less than the unit file's TimeoutStopSec
-_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # the last one comes when a terminal is closed
 _LOGGED_PACKAGES = ("numpy", "opencv-python-headless", "scipy", "pymodbus", "pydantic", "fastapi", "uvicorn")
 _WAIT_TITLES = frozenset(state.title for state in WAIT_STATES)
 
@@ -39,7 +39,7 @@ _log = structlog.stdlib.get_logger("srvs_cell.daemon")
 
 
 def run_daemon(config: CellConfig, service: ServiceConfig) -> None:
-    """Serve the cell until SIGTERM or SIGINT.
+    """Serve the cell until SIGTERM, SIGINT or SIGHUP.
 
     Args:
         config: the cell.

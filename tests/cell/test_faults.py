@@ -220,6 +220,19 @@ async def test_a_cut_wire_aborts_and_clear_reconnects(tmp_path: Path) -> None:
         assert await cell.reaches(*ENDS) == "Complete"
 
 
+async def test_a_camera_that_is_gone_is_named_by_clear(tmp_path: Path) -> None:
+    async with running(build(tmp_path)) as cell:
+        await connected(cell)
+        cell.camera.unreachable = True
+        await cell.give(Command.CLEAR)
+        await cell.reaches("Aborted")
+        (alarm,) = cell.unit.snapshot()["alarms"]
+        assert alarm["detail"] == "camera: The fake camera does not answer."
+        cell.camera.unreachable = False
+        await cell.start()
+        assert await cell.reaches(*ENDS) == "Complete"
+
+
 async def test_silence_in_mid_move_needs_a_person_to_look(tmp_path: Path) -> None:
     async with running(build(tmp_path)) as cell:
         await connected(cell)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.cell import Mode
+from srvs_cell.cell import Command, CommandAnswer, Mode, State
 from srvs_cell.cli import operate
 from srvs_cell.cli.client import DaemonClient
 from srvs_cell.cli.main import run
@@ -100,6 +100,31 @@ def test_watch_says_each_thing_once(daemon: Daemon, capsys: pytest.CaptureFixtur
 def test_accepted_command_says_the_state(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
     assert daemon.run("clear") == 0
     assert capsys.readouterr().out == "Stopped\n"
+
+
+@pytest.mark.parametrize("json_option", [(), ("--json",)])
+def test_a_clear_is_waited_for_and_says_what_is_missing(
+    daemon: Daemon,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    json_option: tuple[str, ...],
+) -> None:
+    async def clearing(_: Command, source: str) -> CommandAnswer:
+        daemon.unit.state = State.CLEARING
+        asyncio.get_running_loop().call_later(0.05, fail)
+        return CommandAnswer(accepted=True, state=daemon.unit.state, reason=source[:0])
+
+    def fail() -> None:
+        daemon.unit.state = State.ABORTED
+        changes.append(asyncio.ensure_future(daemon.unit.change()))
+
+    changes: list[asyncio.Future[None]] = []
+    monkeypatch.setattr(daemon.unit, "command", clearing)
+    assert daemon.run("clear", *json_option) == 1
+    out, err = capsys.readouterr()
+    assert (json.loads(out)["state"] if json_option else out) == ("Aborted" if json_option else "Aborted\n")
+    assert "[2101 GRIP_EMPTY] at place 3" in err
+    assert "Remedy: Check the part" in err
 
 
 @pytest.mark.parametrize("json_option", [(), ("--json",)])

@@ -121,7 +121,8 @@ def test_daemon_serves_aborted_when_devices_cannot_be_reached_and_ends_tidily(si
         assert stat.S_IMODE(site.api.parent.stat().st_mode) == 0o750
         assert site.notifications("WATCHDOG=1"), "the watchdog is fed while the unit lives"
 
-        process.send_signal(signal.SIGTERM)
+        for number in (signal.SIGHUP, signal.SIGTERM):  # a terminal that is closed, and somebody in a hurry
+            process.send_signal(number)
         _, log = process.communicate(timeout=30)
     assert process.returncode == 0
     assert not site.api.exists()
