@@ -333,11 +333,13 @@ def run_scene(seed: int, *, plan_only: bool) -> Result:
 
 
 def drawn_calibration(random: np.random.Generator) -> Calibration:
-    """Return what the calibration file says of a camera of the simulated cell."""
+    """Return what the calibration file says of a camera of the simulated cell; the arm here knows no frame numbers."""
     with tempfile.TemporaryDirectory(prefix="srvs-") as folder:
         path = Path(folder) / "calibration.yaml"
         write_calibration(make_camera(LEVELS["real"], CameraMount().transform(), random), path)
-        return Calibration.from_mapping(yaml.safe_load(path.read_text(encoding="utf-8")), path.name)
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    del content["robot"]
+    return Calibration.from_mapping(content, path.name)
 
 
 def _plan(

@@ -83,10 +83,15 @@ def schema() -> None:
 def _calibration_state(config: CellConfig) -> str:
     """Return what is to be said of the calibration file; raises CALIBRATION_INVALID where it is wrong.
 
+    With it, CONFIG_INVALID where the cameras do not show a configured place.
+
     A simulated cell writes its calibration when it starts, so that there it may be missing.
     """
     if config.simulation and not config.calibration.exists():
         return f"{config.calibration} is not there yet; the simulator writes it"
+    from srvs_cell.service.common_view import CommonView, check_places  # noqa: PLC0415 - the command line starts lazily
+
     calibration = config.load_calibration()
+    check_places(config, CommonView.of(config.cell, calibration))
     width, height = calibration.image_size
     return f"{config.calibration}, {width} x {height} px"

@@ -22,7 +22,7 @@ from srvs_cell.config.drivers import (
 from srvs_cell.config.object_library import ObjectLibrary, built_in_library, load_library
 from srvs_cell.config.validation import validate
 from srvs_cell.config.yaml_text import read_yaml
-from srvs_cell.planning import PlanningParameters, make_rule
+from srvs_cell.planning import PlanningParameters, taught_places
 from srvs_cell.vision.parameters import VisionParameters
 
 if TYPE_CHECKING:
@@ -229,25 +229,31 @@ def _device(role: str, section: _DeviceSection, source: str) -> DeviceConfig:
 
 def _check_buffer_places(file: _File, source: str) -> None:
     """Refuse buffer places that the TCP may not go to; the two keys belong to different rooms."""
-    box = file.cell.workspace
     for i, place_mm in enumerate(file.planning.buffer_places_mm):
-        for name, value_mm, (least_mm, greatest_mm) in zip("xy", place_mm, (box.x_mm, box.y_mm), strict=True):
-            if not least_mm <= value_mm <= greatest_mm:
-                raise AlarmError(
-                    Alarm.CONFIG_INVALID,
-                    f"{source}: planning.buffer_places_mm.{i} = {list(place_mm)}: {name} = {value_mm} mm is outside "
-                    f"cell.workspace.{name}_mm = {least_mm} to {greatest_mm} mm.",
-                )
+        _check_inside(file, f"buffer_places_mm.{i}", place_mm, source)
 
 
 def _check_goal_rule(file: _File, source: str) -> None:
-    """Refuse a goal rule that cannot be made: its settings are no keys of this file's own schema."""
+    """Refuse a goal rule that cannot be made, or whose places the TCP may not go to."""
     if not file.planning.names_a_rule:
         return
     try:
-        make_rule(file.planning.rule, file.planning.rule_settings)
+        places = taught_places(file.planning.rule, file.planning.rule_settings)
     except AlarmError as error:
         raise AlarmError(error.alarm, f"{source}: {error.detail}") from error
+    for place in places:
+        _check_inside(file, f"rule_settings.{place.key}", place.point_mm, source)
+
+
+def _check_inside(file: _File, key: str, place_mm: tuple[float, float], source: str) -> None:
+    box = file.cell.workspace
+    for name, value_mm, (least_mm, greatest_mm) in zip("xy", place_mm, (box.x_mm, box.y_mm), strict=True):
+        if not least_mm <= value_mm <= greatest_mm:
+            raise AlarmError(
+                Alarm.CONFIG_INVALID,
+                f"{source}: planning.{key} = {list(place_mm)}: {name} = {value_mm} mm is outside "
+                f"cell.workspace.{name}_mm = {least_mm} to {greatest_mm} mm.",
+            )
 
 
 def _driver_schema(role: str, driver: str, definitions: dict[str, Any]) -> dict[str, Any]:

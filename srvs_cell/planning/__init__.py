@@ -32,7 +32,9 @@ from srvs_cell.planning.rules import (
     PositionCorrection,
     Rule,
     Standing,
+    TaughtPlace,
     make_rule,
+    taught_places,
 )
 from srvs_cell.planning.table import TableProblem, footprint_centroid_mm, table_problem, why_not_taken
 from srvs_cell.planning.validator import validate
@@ -69,6 +71,7 @@ __all__ = [
     "SearchLimits",
     "Standing",
     "TableProblem",
+    "TaughtPlace",
     "View",
     "Workspace",
     "explain",
@@ -81,6 +84,7 @@ __all__ = [
     "plan_to_json",
     "read_problems",
     "table_problem",
+    "taught_places",
     "turned",
     "turned_deg",
     "validate",

@@ -89,6 +89,30 @@ class Rule(Protocol):
         """
 
 
+@dataclass(frozen=True)
+class TaughtPlace:
+    """A place that a rule's settings name.
+
+    Attributes:
+        key: in the settings.
+        point_mm: x and y, base frame.
+        seen: whether what stands there has to be seen; what lies in a bin is not looked for.
+    """
+
+    key: str
+    point_mm: Point2
+    seen: bool = True
+
+
+@runtime_checkable
+class HasTaughtPlaces(Protocol):
+    """A rule whose settings name places, which are then checked with the config."""
+
+    @property
+    def taught_places(self) -> tuple[TaughtPlace, ...]:
+        """The places."""
+
+
 @settings(frozen=True, kw_only=True, config=_STRICT)
 class HeightOrder:
     """The paper's rule: the highest workpiece goes to the occupied place that is farthest along a direction.
@@ -198,6 +222,11 @@ class PositionCorrection:
         """The rule's name."""
         return "position_correction"
 
+    @property
+    def taught_places(self) -> tuple[TaughtPlace, ...]:
+        """The taught places."""
+        return tuple(TaughtPlace(f"places.{i}", (place.x_mm, place.y_mm)) for i, place in enumerate(self.places))
+
     def choose(
         self,
         standing: Sequence[Standing],
@@ -269,6 +298,12 @@ class ElementChange:
         """The rule's name."""
         return "element_change"
 
+    @property
+    def taught_places(self) -> tuple[TaughtPlace, ...]:
+        """Bin and stock."""
+        stock = (TaughtPlace(f"stock_mm.{i}", point_mm) for i, point_mm in enumerate(self.stock_mm))
+        return (TaughtPlace("bin_mm", self.bin_mm, seen=False), *stock)
+
     def choose(self, standing: Sequence[Standing], vacant_mm: Sequence[Point2] = ()) -> Choice:
         """Return the bin for the rejected; their places, and the job's vacant ones, must be filled.
 
@@ -336,6 +371,12 @@ class ElementChange:
             if not least_mm <= value_mm <= most_mm:
                 return f"its {what} {value_mm:.1f} mm is outside {least_mm:g} to {most_mm:g} mm"
         return ""
+
+
+def taught_places(name: str, rule_settings: Mapping[str, Any]) -> tuple[TaughtPlace, ...]:
+    """Return the places that a rule's settings name; raises as `make_rule`."""
+    rule = make_rule(name, rule_settings)
+    return rule.taught_places if isinstance(rule, HasTaughtPlaces) else ()
 
 
 def make_rule(name: str, rule_settings: Mapping[str, Any]) -> Rule:

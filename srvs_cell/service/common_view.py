@@ -14,6 +14,7 @@ import numpy as np
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import moved_aside, plan_right_pose
 from srvs_cell.geometry import Transform
+from srvs_cell.planning import taught_places
 from srvs_cell.vision.rectification import rectification_maps
 
 if TYPE_CHECKING:
@@ -72,14 +73,23 @@ class CommonView:
         return seen
 
 
-def check_buffer_places(config: CellConfig, view: CommonView) -> None:
-    """Raise CONFIG_INVALID where a configured buffer place is not in view, however low the part that waits there."""
-    for number, (x_mm, y_mm) in enumerate(config.planning.buffer_places_mm):
-        if not view.sees(np.array([x_mm, y_mm, 0.0]), from_aside=True):
+def check_places(config: CellConfig, view: CommonView) -> None:
+    """Raise CONFIG_INVALID where a configured place is not in view, however low the part that stands there.
+
+    A buffer place has to be seen by a look from aside, too; what lies in a bin need not be seen.
+    """
+    planning = config.planning
+    places = [(f"buffer_places_mm.{i}", point_mm, True) for i, point_mm in enumerate(planning.buffer_places_mm)]
+    if planning.names_a_rule:
+        taught = taught_places(planning.rule, planning.rule_settings)
+        places += [(f"rule_settings.{place.key}", place.point_mm, False) for place in taught if place.seen]
+    for key, (x_mm, y_mm), from_aside in places:
+        if not view.sees(np.array([x_mm, y_mm, 0.0]), from_aside=from_aside):
+            aside = ", and cell.look.aside_mm beside it," if from_aside else ""
             raise AlarmError(
                 Alarm.CONFIG_INVALID,
-                f"{config.source}: planning.buffer_places_mm.{number} = [{x_mm:g}, {y_mm:g}]: the pictures that are "
-                "taken from cell.look.observe_pose, and cell.look.aside_mm beside it, do not all show that place.",
+                f"{config.source}: planning.{key} = [{x_mm:g}, {y_mm:g}]: the pictures that are taken from "
+                f"cell.look.observe_pose{aside} do not all show that place.",
             )
 
 

@@ -16,7 +16,7 @@ from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import Level, check_calibration
 from srvs_cell.cell import make_devices
 from srvs_cell.ports import Diagnosable, Finding, FindingLevel, PortError
-from srvs_cell.service.common_view import CommonView, check_buffer_places
+from srvs_cell.service.common_view import CommonView, check_places
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -92,7 +92,7 @@ async def examine(config: CellConfig, state_dir: Path, daemon: Mapping[str, Any]
     examined = [Examined("calibration", finding) for finding in found]
     examined += [Examined("state folder", finding) for finding in _state_folder(state_dir)]
     if calibration is not None and config.planning.buffer_places_mm:
-        examined.append(Examined("calibration", _buffer_places(config, calibration)))
+        examined.append(Examined("calibration", _places(config, calibration)))
     if daemon is not None:
         return examined + _asked(daemon)
     if _locked(state_dir / "daemon.lock"):
@@ -152,13 +152,13 @@ def _calibration(config: CellConfig) -> tuple[Calibration | None, list[Finding]]
     return calibration, findings or [Finding.fine("numbers", f"{config.calibration}")]
 
 
-def _buffer_places(config: CellConfig, calibration: Calibration) -> Finding:
-    """Compute, as the daemon will, whether the looks see the configured buffer places."""
+def _places(config: CellConfig, calibration: Calibration) -> Finding:
+    """Compute, as the daemon will, whether the looks see the configured places."""
     try:
-        check_buffer_places(config, CommonView.of(config.cell, calibration))
+        check_places(config, CommonView.of(config.cell, calibration))
     except AlarmError as error:
-        return Finding.failed("sees the buffer places", error, "Move the place, or let free places be found.")
-    return Finding.fine("sees the buffer places", f"{len(config.planning.buffer_places_mm)}")
+        return Finding.failed("sees the configured places", error, "Move the place; free buffer places can be found.")
+    return Finding.fine("sees the configured places", f"{len(config.planning.buffer_places_mm)} buffer places")
 
 
 def _fits(calibration: Calibration, facts: Mapping[str, object]) -> list[Finding]:

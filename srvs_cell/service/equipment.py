@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from srvs_cell.cell import Equipment, Journal, RunRecorder, Unit, make_devices
 from srvs_cell.planning import Workspace, plan_relocation
-from srvs_cell.service.common_view import CommonView, check_buffer_places
+from srvs_cell.service.common_view import CommonView, check_places
 from srvs_cell.vision import LeftAnalysis, StereoView, analyse_left, perceive
 from srvs_cell.vision.overlay import draw_locations, draw_matches
 
@@ -38,13 +38,13 @@ def make_unit(config: CellConfig, state_dir: Path) -> Unit:
         state_dir: folder of the journal and of the run folders.
 
     Raises:
-        AlarmError: CALIBRATION_INVALID; CONFIG_INVALID where the library of objects is wrong, or a buffer place is not
-            in view; BASELINE_INVALID.
+        AlarmError: CALIBRATION_INVALID; CONFIG_INVALID where the library of objects is wrong, or a configured
+            place is not in view; BASELINE_INVALID.
     """
     calibration = config.load_calibration()
     library = config.load_library()
     view = CommonView.of(config.cell, calibration)
-    check_buffer_places(config, view)
+    check_places(config, view)
     workspace = Workspace(*config.cell.workspace.x_mm, *config.cell.workspace.y_mm, view)
     equipment = Equipment(
         parameters=config.cell,

@@ -17,7 +17,7 @@ from srvs_cell.config.embedded import embedded_config
 from srvs_cell.geometry import Transform
 from srvs_cell.ports import FindingLevel
 from srvs_cell.service.common_view import CommonView
-from srvs_cell.service.doctor import _buffer_places
+from srvs_cell.service.doctor import _places
 from srvs_cell.service.equipment import make_unit
 from tests.cli.test_doctor import CALIBRATION
 
@@ -104,8 +104,12 @@ def test_what_is_behind_the_camera_or_beside_everything_is_not_in_view() -> None
 
 
 def _config(tmp_path: Path, place_mm: tuple[float, float]) -> CellConfig:
+    return _with_planning(tmp_path, f"buffer_places_mm: [{list(place_mm)}]")
+
+
+def _with_planning(tmp_path: Path, line: str) -> CellConfig:
     (tmp_path / "calibration.yaml").write_text(yaml.safe_dump(CALIBRATION), encoding="utf-8")
-    text = embedded_config().replace("planning:\n", f"planning:\n  buffer_places_mm: [{list(place_mm)}]\n")
+    text = embedded_config().replace("planning:\n", f"planning:\n  {line}\n")
     return parse_config(text, "cell.yaml", folder=tmp_path)
 
 
@@ -115,7 +119,42 @@ def test_a_buffer_place_that_no_look_sees_is_refused_at_start_and_by_the_doctor(
         make_unit(hidden, tmp_path)
     assert caught.value.alarm is Alarm.CONFIG_INVALID
     assert "cell.yaml: planning.buffer_places_mm.0 = [899, 199]" in caught.value.detail
-    assert _buffer_places(hidden, _calibration()).level is FindingLevel.FAILED
+    assert _places(hidden, _calibration()).level is FindingLevel.FAILED
     shown = _config(tmp_path, (750.0, 0.0))
     make_unit(shown, tmp_path)
-    assert _buffer_places(shown, _calibration()).level is FindingLevel.OK
+    assert _places(shown, _calibration()).level is FindingLevel.OK
+
+
+def _correction(place_mm: tuple[float, float]) -> str:
+    settings = {"places": [{"kind": "cuboid", "x_mm": 750.0, "y_mm": 0.0}]}
+    settings["places"].append({"kind": "cuboid", "x_mm": place_mm[0], "y_mm": place_mm[1]})
+    return f"rule: position_correction\n  rule_settings: {settings}"
+
+
+@pytest.mark.parametrize(
+    ("line", "key"),
+    [
+        (_correction((899.0, 199.0)), "rule_settings.places.1"),
+        (
+            "rule: element_change\n  rule_settings: {bin_mm: [750, 0], stock_mm: [[899, 199]], substitute_kind: wedge}",
+            "rule_settings.stock_mm.0",
+        ),
+    ],
+)
+def test_a_rules_place_that_no_look_sees_is_refused_at_start(tmp_path: Path, line: str, key: str) -> None:
+    with pytest.raises(AlarmError) as caught:
+        make_unit(_with_planning(tmp_path, line), tmp_path)
+    assert caught.value.alarm is Alarm.CONFIG_INVALID
+    assert f"cell.yaml: planning.{key} = [899, 199]" in caught.value.detail
+
+
+def test_a_rules_place_in_view_and_a_bin_out_of_it_are_no_matter(tmp_path: Path) -> None:
+    make_unit(_with_planning(tmp_path, _correction((760.0, 60.0))), tmp_path)
+    in_corner = "rule: element_change\n  rule_settings: {bin_mm: [899, 199], substitute_kind: wedge}"
+    make_unit(_with_planning(tmp_path, in_corner), tmp_path)
+
+
+def test_a_rules_place_outside_the_workspace_is_refused_with_the_config(tmp_path: Path) -> None:
+    with pytest.raises(AlarmError) as caught:
+        _with_planning(tmp_path, _correction((1200.0, 0.0)))
+    assert "planning.rule_settings.places.1 = [1200.0, 0.0]: x = 1200.0 mm is outside" in caught.value.detail
