@@ -50,6 +50,7 @@ class Pick:
         if workpiece.grasp is None:
             raise AlarmError(Alarm.PLAN_INFEASIBLE, f"Workpiece {workpiece.id}: {workpiece.grasp_refusal}.")
         check_certainty(workpiece, job.equipment.parameters.tolerance)
+        job.last_looks.clear()
         carried, hand = job.carried_before(self.move), job.equipment.parameters.hand()
         at = hand.grasp_pose(carried.grasp(workpiece.grasp.choices[self.move.grasp]), self.move.turn_deg)
         part = held_part(workpiece, self.move, at, hand)

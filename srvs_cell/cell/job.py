@@ -96,6 +96,7 @@ class Equipment:
     plan: PlanJob
     pictures: Pictures
     analyse_left: AnalyseLeft | None = None
+    in_every_look: Callable[[Workpiece], bool] = lambda _: True
 
 
 @dataclass
@@ -146,6 +147,7 @@ class Job:
         early: what was made of the left image while the arm travelled.
         looks: finished looks.
         aside: looks are taken from aside: it changes with every look that was doubted.
+        last_looks: what the last look from the observe pose (False) and from aside (True) saw since the last pick.
         places: the places that the job is about; before it has planned those of a former one that is not finished.
         sightings: what each look saw since the last confirmation.
         carried: how each workpiece has been carried since it was perceived.
@@ -177,6 +179,7 @@ class Job:
         self.early: Any = None
         self.looks = 0
         self.aside = False
+        self.last_looks: dict[bool, tuple[Workpiece, ...]] = {}
         self.places = places
         self.sightings: list[tuple[Workpiece, ...]] = []
         self.carried: dict[int, Carry] = {}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.calibration import moved_aside, plan_right_pose
 from srvs_cell.cell.export import workpiece_json
+from srvs_cell.cell.hidden_parts import with_hidden
 from srvs_cell.cell.interlocks import check_frame
 from srvs_cell.cell.job import Job, Outcome, Step
 from srvs_cell.cell.recovery import StepName
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from srvs_cell.scene import Perception
+    from srvs_cell.scene import Perception, Workpiece
 
 _LEVEL_MM = 1.0
 
@@ -112,23 +113,30 @@ class Perceive:
         stereo = StereoLook(job.left[0], job.right[0], job.left[1], job.right[1], job.early)
         job.left = job.right = job.early = None
         perception = await job.in_thread(lambda: job.equipment.perceive(stereo))
-        evidence = await self._record(job, perception)
+        parts = with_hidden(
+            perception.workpieces,
+            job.last_looks.get(not job.aside, ()),
+            job.equipment.in_every_look,
+            job.equipment.parameters.tolerance.verify_mm,
+        )
+        job.last_looks[job.aside] = perception.workpieces
+        evidence = await self._record(job, perception, parts)
         job.looks += 1
-        if not perception.workpieces and not self.verifying:
+        if not parts and not self.verifying:
             raise AlarmError(Alarm.NOTHING_SEEN, f"{len(perception.matches)} planes were matched, none is a workpiece.")
-        unknown = [workpiece.position_mm for workpiece in perception.workpieces if workpiece.kind == UNKNOWN_KIND]
+        unknown = [workpiece.position_mm for workpiece in parts if workpiece.kind == UNKNOWN_KIND]
         if unknown:
             where = "; ".join(f"x = {x_mm:.0f} mm, y = {y_mm:.0f} mm" for x_mm, y_mm, _ in unknown)
             job.warn(Alarm.UNKNOWN_OBJECT, f"At {where}.")
         return Outcome(evidence)
 
-    async def _record(self, job: Job, perception: Perception) -> dict[str, object]:
-        workpieces = [workpiece_json(workpiece) for workpiece in perception.workpieces]
+    async def _record(self, job: Job, perception: Perception, parts: tuple[Workpiece, ...]) -> dict[str, object]:
+        workpieces = [workpiece_json(workpiece) for workpiece in parts]
         progress = job.progress
         if self.verifying:
-            progress.verified = perception.workpieces
+            progress.verified = parts
         else:
-            progress.workpieces = perception.workpieces
+            progress.workpieces = parts
         for name, elapsed_ms in perception.timings_ms.items():
             key = f"perceive.{name}"
             progress.timings_ms[key] = progress.timings_ms.get(key, 0.0) + elapsed_ms
@@ -138,6 +146,7 @@ class Perceive:
             "matches": len(perception.matches),
             "ambiguous_px": [list(plane.centre_px) for plane in perception.ambiguous_planes],
             "workpieces": workpieces,
+            "from_other_look": len(parts) - len(perception.workpieces),
             "timings_ms": perception.timings_ms,
         }
         await job.save_json(f"perception_{job.looks}", content)

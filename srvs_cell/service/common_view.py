@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from srvs_cell.calibration import Calibration
     from srvs_cell.config import CellConfig, CellParameters
     from srvs_cell.geometry import Array
+    from srvs_cell.scene import Workpiece
     from srvs_cell.vision.rectification import RectifiedRig
 
 _MARGIN_PX = 4
@@ -71,6 +72,12 @@ class CommonView:
         looks = self.looks if from_aside else self.looks[:1]
         seen: NDArray[np.bool_] = np.all([look.sees(in_base) for look in looks], axis=0)
         return seen
+
+    def shows(self, workpiece: Workpiece) -> bool:
+        """Tell whether all pictures show the whole of a workpiece, foot and top."""
+        foot_mm = workpiece.footprint_mm
+        solid = [np.column_stack([foot_mm, np.full(len(foot_mm), z_mm)]) for z_mm in (0.0, workpiece.height_mm)]
+        return bool(self.sees(np.concatenate(solid), from_aside=True).all())
 
 
 def check_places(config: CellConfig, view: CommonView) -> None:

@@ -56,6 +56,7 @@ def make_unit(config: CellConfig, state_dir: Path) -> Unit:
         plan=partial(_plan, config, workspace),
         pictures=_pictures,
         analyse_left=partial(_analyse_left, config, calibration),
+        in_every_look=view.shows,
     )
     return Unit(equipment, simulation=config.simulation)
 

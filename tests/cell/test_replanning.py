@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from drivers.sim.doubles import Block
@@ -230,3 +231,33 @@ async def test_with_every_part_gone_in_mid_job_the_cell_waits_for_parts(tmp_path
         assert cell.alarms == ["SCENE_CHANGED", "NOTHING_SEEN"]
         cell.world.blocks += three_blocks()
         assert await cell.reaches("Complete", "Held", "Aborted") == "Complete"
+
+
+async def test_a_part_that_the_look_from_aside_does_not_show_is_not_forgotten(tmp_path: Path) -> None:
+    """It stands where only the pictures from the observe pose show it, on the way of the others."""
+    cell = build(tmp_path, [*three_blocks(), Block("edge", 420.0, 250.0, 70.0)])
+    observe = cell.unit.equipment.parameters.look.observe_pose.pose()
+    plain = cell.unit.equipment.perceive
+    parts: list[int] = []
+
+    def perceive(look: StereoLook) -> Perception:
+        if len(parts) == 2:
+            push(cell, "low", 30.0, 0.0)
+        perception = plain(look)
+        left = look.base_T_tcp_left.translation_mm
+        if float(np.hypot(left[0] - observe.x_mm, left[1] - observe.y_mm)) > 1.0:
+            shown = tuple(part for part in perception.workpieces if part.position_mm[1] < 200.0)
+            perception = replace(perception, workpieces=shown)
+        parts.append(len(perception.workpieces))
+        return perception
+
+    equipment = replace(cell.unit.equipment, perceive=perceive, in_every_look=lambda part: part.position_mm[1] < 200.0)
+    cell.unit = Unit(equipment, simulation=True)
+    async with running(cell):
+        assert await job(cell) == "Complete"
+        assert 3 in parts
+        said = "; ".join(alarm["detail"] for alarm in cell.unit.snapshot()["alarms"])
+        assert "30.0 mm from" in said
+        assert "not seen" not in said
+        assert len(cell.unit.snapshot()["workpieces"]) == 4
+        assert (block(cell, "edge").x_mm, block(cell, "edge").y_mm) == (420.0, 250.0)

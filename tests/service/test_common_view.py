@@ -20,6 +20,7 @@ from srvs_cell.service.common_view import CommonView
 from srvs_cell.service.doctor import _places
 from srvs_cell.service.equipment import make_unit
 from tests.cli.test_doctor import CALIBRATION
+from tests.planning.problems import workpiece
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -101,6 +102,14 @@ def test_what_is_behind_the_camera_or_beside_everything_is_not_in_view() -> None
     view = CommonView.of(CONFIG.cell, _calibration())
     points = np.array([[750.0, 0.0, 2000.0], [1e7, 0.0, 0.0], [750.0, 0.0, 0.0]])
     assert view.sees(points, from_aside=True).tolist() == [False, False, True]
+
+
+def test_a_part_that_sticks_out_of_one_picture_is_not_shown() -> None:
+    view = CommonView.of(CONFIG.cell, _calibration())
+    part = workpiece(0, (750.0, 0.0), 60.0)
+    assert view.shows(part)
+    assert not view.shows(dataclasses.replace(part, footprint_mm=part.footprint_mm + np.array([0.0, 190.0])))
+    assert not view.shows(dataclasses.replace(part, height_mm=400.0))
 
 
 def _config(tmp_path: Path, place_mm: tuple[float, float]) -> CellConfig:
