@@ -1,6 +1,7 @@
 """Plan every problem of a file and compare with its proven optimum.
 
-Usage: python benchmarks/plan_problems.py [PROBLEMS.json]
+Usage: python benchmarks/plan_problems.py [PROBLEMS.json]; without a file, planning/problems.json beside $SRVS_DATA, or
+../shared/planning/problems.json beside the repository.
 Prints a row per family: problems, solved or proven infeasible, agreeing with the optimum in moves, in travel (0.01 mm),
 plans that the validator accepts, and the processor time per problem (reading, planning, validating) in milliseconds.
 """
@@ -8,6 +9,7 @@ plans that the validator accepts, and the processor time per problem (reading, p
 from __future__ import annotations
 
 import json
+import os
 import statistics
 import sys
 import time
@@ -35,8 +37,9 @@ class Tally:
 
 def main() -> None:
     """Run the benchmark."""
-    default = Path(__file__).parents[2] / "shared" / "planning" / "problems.json"
-    path = Path(sys.argv[1]) if len(sys.argv) > 1 else default
+    data = os.environ.get("SRVS_DATA")
+    shared = Path(data).parent if data else Path(__file__).resolve().parents[2] / "shared"
+    path = Path(sys.argv[1]) if len(sys.argv) > 1 else shared / "planning" / "problems.json"
     tallies: dict[str, Tally] = {}
     for instance in json.loads(path.read_text(encoding="utf-8"))["instances"]:
         measure(instance, tallies.setdefault(instance["family"], Tally()))

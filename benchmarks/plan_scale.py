@@ -1,6 +1,6 @@
 """Planning at scale: the figures of the planner's aims, beside one cycle after another through the buffer.
 
-    python benchmarks/plan_scale.py
+    python -m benchmarks.plan_scale
 
 Problems are random with fixed seeds; all times are the processor time of one process on one thread.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import os
 import random
 import statistics
 import time
@@ -114,11 +115,15 @@ def timed(work: Callable[[], Any]) -> tuple[Any, float]:
 def fewest() -> None:
     """Moves of every problem of the file, n up to 8, and of random permutations of 9."""
     print("fewest moves, ms (reading, conflicts, search)      problems   proven   median    worst")
-    path = Path(__file__).parents[2] / "shared" / "planning" / "problems.json"
+    data = os.environ.get("SRVS_DATA")
+    shared = Path(data).parent if data else Path(__file__).resolve().parents[2] / "shared"
+    path = shared / "planning" / "problems.json"
     families: dict[str, list[Problem]] = {"perm n=9": [permutation(9, seed) for seed in range(20)]}
     if path.is_file():
         for instance in json.loads(path.read_text(encoding="utf-8"))["instances"]:
             families.setdefault(instance["family"], []).append(Problem.from_mapping(instance, instance["id"]))
+    else:
+        print(f"  left out, {path} is not there: the families of the problem file")
     for family, problems in families.items():
         found = [timed(lambda problem=problem: moves_only(problem)) for problem in problems]
         times_ms = [1e3 * seconds for _, seconds in found]

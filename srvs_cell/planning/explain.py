@@ -56,9 +56,23 @@ def _count(problem: Problem, answer: RelocationPlan) -> str:
     text = f"{len(answer.moves)} moves, {proof}: {wrong} stand wrongly"
     if bound > wrong:
         text += f", {bound - wrong} more where places are exchanged in a ring and somebody has to step out of it first"
-    if len(answer.moves) > bound:
-        text += f", {len(answer.moves) - bound} more because objects are in each other's way"
+    fills = _fills(problem, answer)
+    if fills:
+        text += f", {fills} more from a place where they might stay to one that must be filled"
+    if len(answer.moves) > bound + fills:
+        text += f", {len(answer.moves) - bound - fills} more because objects are in each other's way"
     return text
+
+
+def _fills(problem: Problem, answer: RelocationPlan) -> int:
+    """Return how many objects that stand where they may end go to a place that must be filled."""
+    rule = goal_rule(problem)
+    ends = {move.object: move.to_place for move in answer.moves}
+    return sum(
+        bool(rule.allowed[item] >> problem.objects[item].start & 1 and rule.must_fill >> end & 1)
+        for item, end in ends.items()
+        if end != problem.objects[item].start
+    )
 
 
 def _objects(problem: Problem, answer: RelocationPlan) -> Iterator[str]:
@@ -80,7 +94,10 @@ def _objects(problem: Problem, answer: RelocationPlan) -> Iterator[str]:
         if not steps:
             yield f"{item.name}: stays, it stands where it may end"
         elif right:
-            yield f"{item.name}: stands where it may end, but makes room: {steps}"
+            ends = next(move.to_place for move in reversed(answer.moves) if move.object == item.id)
+            filled = ends != item.start and rule.must_fill >> ends & 1
+            why = "goes where a place must be filled" if filled else "makes room"
+            yield f"{item.name}: stands where it may end, but {why}: {steps}"
         else:
             yield f"{item.name}: {steps}"
 

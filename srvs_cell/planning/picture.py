@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape
 
@@ -15,12 +16,14 @@ if TYPE_CHECKING:
     from srvs_cell.scene import Move, Point2
 
 _STYLE = (
-    "text{font-family:sans-serif;text-anchor:middle;dominant-baseline:central}"
+    "text{font-family:sans-serif;text-anchor:middle;dominant-baseline:central;"
+    "paint-order:stroke;stroke:#fff;stroke-width:2}"
     ".start{fill:#cfe3f5;stroke:#1f5c99}.end{fill:none;stroke:#1f5c99;stroke-dasharray:4 3}"
     ".obstacle{fill:#999;stroke:#444}.place{fill:none;stroke:#888;stroke-width:.6}"
     ".far{stroke:#b00;stroke-dasharray:2 2}.move{fill:none;stroke:#c4511b;stroke-width:1.5}"
     ".number{fill:#c4511b;font-weight:bold}.home{fill:#c4511b}"
 )
+_WIDTH_PX = 900
 _MARGIN = 0.08
 _LEAST_SPAN_MM = 100.0
 _TEXT = 0.022
@@ -52,14 +55,15 @@ def plan_svg(problem: Problem, moves: Sequence[Move], title: str) -> str:
         if ends[item.id] != item.start:
             parts.append(_shape(item.at(ends[item.id]).footprint, _point(problem, ends[item.id]), "end"))
     # Names and arrows come last: nothing hides them.
-    parts += [_text(_point(problem, item.start), str(item.id), letter, "", item.name) for item in problem.objects]
     for number, move in enumerate(moves, start=1):
         parts += _arrow(_point(problem, move.from_place), _point(problem, move.to_place), number, letter)
+    parts += [_text(_point(problem, item.start), str(item.id), letter, "name", item.name) for item in problem.objects]
     home = problem.home_mm
     parts.append(f'<circle class="home" cx="{home[0]:.1f}" cy="{-home[1]:.1f}" r="{letter / 2:.1f}"/>')
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{low[0]:.1f} {-high[1]:.1f} {width:.1f} {height:.1f}" '
-        f'width="900"><title>{escape(title)}</title><style>{_STYLE}</style><defs><marker id="tip" viewBox="0 0 8 8" '
+        f'width="{_WIDTH_PX}" height="{_WIDTH_PX * height / width:.0f}">'
+        f'<title>{escape(title)}</title><style>{_STYLE}</style><defs><marker id="tip" viewBox="0 0 8 8" '
         'refX="7" refY="4" markerWidth="6" markerHeight="6" orient="auto"><path d="M0 0L8 4L0 8z" fill="#c4511b"/>'
         "</marker></defs>"
     )
@@ -129,8 +133,16 @@ def _arrow(begin: Point2, end: Point2, number: int, letter: float) -> list[str]:
     )
     # The number stands on the bend: half way between the chord and the point that the curve is drawn to.
     on_curve = ((begin[0] + end[0]) / 4 + middle[0] / 2, (begin[1] + end[1]) / 4 + middle[1] / 2)
+    # Both ends leave room for a name.
+    begin, end = (_towards(point, middle, letter) for point in (begin, end))
     path = (
         f'<path class="move" marker-end="url(#tip)" d="M{begin[0]:.1f} {-begin[1]:.1f}Q{middle[0]:.1f} '
         f'{-middle[1]:.1f} {end[0]:.1f} {-end[1]:.1f}"/>'
     )
     return [path, _text(on_curve, str(number), letter, "number", f"move {number}")]
+
+
+def _towards(point: Point2, other: Point2, by_mm: float) -> Point2:
+    """Return a point moved towards another one, half-way at most."""
+    part = min(by_mm / max(math.dist(point, other), by_mm), 0.5)
+    return point[0] + part * (other[0] - point[0]), point[1] + part * (other[1] - point[1])

@@ -1,6 +1,8 @@
 """A plan in words and as a picture."""
 
 import dataclasses
+import math
+import re
 import xml.etree.ElementTree as ET
 
 from srvs_cell.planning import AssignGoal, Disc, Obstacle, explain, plan, plan_svg, what_would_help
@@ -27,6 +29,26 @@ def test_an_object_that_stands_right_says_that_it_makes_room() -> None:
     problem = dataclasses.replace(base, places=places, goal=goal)
     lines = explain(problem, plan(problem))
     assert any(line.startswith("object 1: stands where it may end, but makes room") for line in lines)
+
+
+def test_a_part_from_the_stock_fills_the_place_of_a_rejected_one() -> None:
+    base = line_problem([10.0, 20.0], buffers=1)
+    places = (*base.places[:2], dataclasses.replace(base.places[2], kind=PlaceKind.BIN))
+    goal = AssignGoal((frozenset({2}), frozenset({0, 1})), frozenset({0}))
+    problem = dataclasses.replace(base, places=places, goal=goal)
+    lines = explain(problem, plan(problem))
+    assert lines[0].endswith("1 stand wrongly, 1 more from a place where they might stay to one that must be filled")
+    assert "object 1: stands where it may end, but goes where a place must be filled: move 2" in lines[2]
+
+
+def test_an_arrow_leaves_room_for_the_name_at_both_ends() -> None:
+    problem = line_problem([10.0, 20.0])
+    root = ET.fromstring(plan_svg(problem, plan(problem).moves, ""))  # noqa: S314 - our own text
+    names = [(float(t.attrib["x"]), float(t.attrib["y"])) for t in root.findall(f"{SVG}text[@class='name']")]
+    assert len(names) == 2
+    for path in root.findall(f"{SVG}path[@class='move']"):
+        begin, _, end = (tuple(map(float, pair.split())) for pair in re.findall(r"-?[\d.]+ -?[\d.]+", path.attrib["d"]))
+        assert min(math.dist(point, name) for point in (begin, end) for name in names) > 4.0
 
 
 def test_one_more_buffer_place_would_help() -> None:
