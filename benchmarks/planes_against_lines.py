@@ -65,9 +65,12 @@ STAGES = {
     "edges": ("edges",),
     "features": ("filtering", "thinning", "tracking", "region_growing", "plane_parameters", "line_parameters"),
     "matching": ("matching",),
-    "disparity": ("interpolation", "refinement", "grouping"),
+    "to 3-D": ("interpolation", "refinement", "grouping", "depth"),
 }
-"""Steps of the two methods that do the same for each. The lines' matching includes the disparities of their ends."""
+"""Steps of the two methods that do the same for each, from the edges to places in space (with a calibration).
+
+Rectification is common. The lines' matching includes the disparities of their ends; their places have no covariance.
+"""
 ROWS_ALONE = BaselineParameters(matching=LineMatchingParameters(near_horizontal_deg=0.1))
 METHODS = ("planes", "planes, paper", "lines")
 
