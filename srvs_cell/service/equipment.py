@@ -10,7 +10,7 @@ from srvs_cell.cell import Equipment, Journal, RunRecorder, Unit, make_devices
 from srvs_cell.planning import Workspace, plan_relocation
 from srvs_cell.service.common_view import CommonView, check_places
 from srvs_cell.vision import LeftAnalysis, StereoView, analyse_left, perceive
-from srvs_cell.vision.overlay import draw_locations, draw_matches
+from srvs_cell.vision.overlay import draw_matches, draw_views
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,4 +93,5 @@ def _view(config: CellConfig, calibration: Calibration, left: Transform, right: 
 
 def _pictures(perception: Perception) -> dict[str, NDArray[np.uint8]]:
     """Return the paper's Fig. 6 and Fig. 7 of a look."""
-    return {"planes": draw_matches(perception), "locations": draw_locations(perception.workpieces)}
+    above, beside = draw_views(perception.workpieces)
+    return {"planes": draw_matches(perception), "seen_from_above": above, "seen_from_the_side": beside}

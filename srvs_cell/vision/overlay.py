@@ -66,7 +66,7 @@ def draw_matches(perception: Perception) -> Picture:
 
 
 def draw_locations(workpieces: Sequence[Workpiece], truth_positions_mm: Sequence[Point3] | None = None) -> Picture:
-    """Draw where the workpieces are: from above (x, y), from the side (x, z), and as a list, millimetres.
+    """Draw where the workpieces are: the two views of `draw_views`, one above the other, and a list, millimetres.
 
     Args:
         workpieces: what was recognised; each is labelled with its id.
@@ -75,6 +75,14 @@ def draw_locations(workpieces: Sequence[Workpiece], truth_positions_mm: Sequence
     Returns:
         BGR, uint8.
     """
+    views = np.vstack(draw_views(workpieces, truth_positions_mm))
+    return np.hstack([views, _list(workpieces, truth=bool(truth_positions_mm), height=views.shape[0])])
+
+
+def draw_views(
+    workpieces: Sequence[Workpiece], truth_positions_mm: Sequence[Point3] | None = None
+) -> tuple[Picture, Picture]:
+    """Draw where the workpieces are: from above (x, y) and from the side (x, z), millimetres; as `draw_locations`."""
     truth = np.array(truth_positions_mm or [], dtype=np.float64).reshape(-1, 3)
     table_mm = _table_mm(workpieces)
     points = np.concatenate([_extent(workpieces, table_mm), truth]) if workpieces or len(truth) else np.zeros((1, 3))
@@ -98,8 +106,7 @@ def draw_locations(workpieces: Sequence[Workpiece], truth_positions_mm: Sequence
         for view, picture, axes in ((above, picture_above, (0, 1)), (beside, picture_beside, (0, 2))):
             x, y = np.rint(view.pixels(position[None, axes])[0]).astype(int)
             cv2.drawMarker(picture, (int(x), int(y)), _TRUTH, cv2.MARKER_CROSS, 13, 1, cv2.LINE_AA)
-    views = np.vstack([picture_above, picture_beside])
-    return np.hstack([views, _list(workpieces, truth=bool(len(truth)), height=views.shape[0])])
+    return picture_above, picture_beside
 
 
 @dataclass(frozen=True)
