@@ -10,7 +10,7 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tests.peers import modbus, rmi, robotiq
+from tests.peers import karel, modbus, rmi, robotiq
 from tests.peers.bench import Judgement, SkippedError
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def main() -> int:
         ("Modbus TCP, driver", "npm modbus-serial", lambda: modbus.modbus_serial(folder / "node")),
         ("RMI, controller double", "PyPI fanuc-rmi", lambda: rmi.fanuc_rmi(folder)),
         ("RMI, driver", "PyPI airo-fanuc", lambda: rmi.airo_fanuc(folder)),
+        (karel.WIRE, "PyPI fanex", lambda: karel.fanex(folder)),
         (robotiq.WIRE, "PyPI robotiq2f", lambda: robotiq.robotiq2f(folder)),
         (robotiq.WIRE, "Debian mbpoll", robotiq.mbpoll),
     )

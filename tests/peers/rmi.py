@@ -13,7 +13,7 @@ from drivers.fanuc.rmi import FanucRmiArm, FanucRmiConfig
 from drivers.sim.rmi_controller import RmiController
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import PortError
-from tests.drivers.stepped import PointArm
+from tests.drivers.sim.test_rmi_double import JointArm
 from tests.peers.bench import Judgement, SkippedError, WallTime, free_ports, running, wall_clock
 
 HERE: Final = Path(__file__).parent
@@ -37,7 +37,7 @@ def fanuc_rmi(folder: Path) -> Judgement:
     """Drive our double with a client that was written by others."""
     python = environment(folder)
     startup, session = free_ports(2)
-    point = PointArm(WallTime())  # type: ignore[arg-type]
+    point = JointArm(WallTime())  # type: ignore[arg-type]
     point.inputs[1] = True
     controller = RmiController(point, WallTime(), startup, session)
     controller.start()
@@ -53,11 +53,12 @@ def fanuc_rmi(folder: Path) -> Judgement:
     assert (found["frames"]["UFrameNumber"], found["frames"]["UToolNumber"]) == (1, 1), found
     assert (found["written"]["ErrorID"], found["read"]["PortValue"], found["aborted"]["ErrorID"]) == (0, 1, 0), found
     assert point.outputs[5]
-    assert (point.override_percent, controller.motions_started) == (50, 2)
+    assert (point.override_percent, controller.motions_started) == (50, 4)
     assert (point.pose.x_mm, point.pose.z_mm) == (520.0, 390.0)
     result = (
-        "connects, resets, initialises, selects frames, sets the override, moves absolutely and relatively, waits, "
-        "writes an output, reads an input and the pose, aborts, disconnects: all replies as it expects"
+        "connects, resets, initialises, selects frames, sets the override, moves absolutely and relatively to "
+        "poses and to joint angles, waits, writes an output, reads an input, pose and joints, aborts, disconnects: all "
+        "replies as it expects"
     )
     return Judgement("RMI, controller double", "PyPI fanuc-rmi 0.3.1, a client", result, True)
 

@@ -27,9 +27,12 @@ def main() -> None:
     read = robot.read_din(1)
     with tempfile.TemporaryDirectory() as folder:
         place = robot.read_cartesian_coordinates(str(Path(folder) / "pose.jsonl"))
+        joints = robot.read_joint_coordinates(str(Path(folder) / "joints.jsonl"))["JointAngle"]
+    robot.joint_relative({**dict.fromkeys(joints, 0.0), "J3": 5.0}, 20, sequence_id=4)
+    robot.joint_absolute(joints, 20, sequence_id=5)
     aborted = robot.abort()
     robot.close()
-    found = {"frames": frames, "written": written, "read": read, "place": place, "aborted": aborted}
+    found = {"frames": frames, "written": written, "read": read, "place": place, "joints": joints, "aborted": aborted}
     sys.stdout.write("\n" + json.dumps(found, default=str) + "\n")
 
 
