@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from drivers.sim.robotiq_double import RobotiqDouble
 from drivers.sim.robotiq_fingers import ScriptedFingers
-from drivers.sim.rtu_line import checksum
+from drivers.sim.rtu_line import LineFault, checksum
 
 STATUS = bytes([4]) + struct.pack(">HH", 0x07D0, 3)
 FUNCTIONS = st.sampled_from([3, 4, 16, 23]) | st.integers(0, 127)
@@ -21,7 +21,12 @@ def _double() -> RobotiqDouble:
 def _ask(double: RobotiqDouble, pdu: bytes) -> bytes:
     """Hand a whole frame to the wire's end; return the answer's PDU."""
     sent: list[bytes] = []
-    double.line._send = lambda frame, fault: sent.append(frame)  # type: ignore[method-assign]
+
+    def send(frame: bytes, fault: LineFault) -> None:
+        del fault
+        sent.append(frame)
+
+    double.line._send = send  # type: ignore[method-assign]
     frame = bytes([9]) + pdu
     double.line._take(frame + checksum(frame), b"")
     (answer,) = sent
