@@ -97,11 +97,7 @@ class Place:
             if part is None:
                 raise AlarmError(Alarm.GRIP_LOST, f"Workpiece {move.workpiece} is not in the gripper.")
             hand = job.equipment.parameters.hand()
-            way, leave = hand.place_way(part.place, part.hang_mm, _tops(job, move))
-            for pose in hand.halfway(way.above, move.carry):
-                speed_mm_s = job.equipment.parameters.motion.travel_speed_mm_s
-                await arm.move_linear(pose, speed_mm_s, "half-way of a long turn")
-            await _put_down(job, way, leave)
+            await _put_down(job, *hand.place_way(part.place, part.hang_mm, _tops(job, move)))
         job.carried[move.workpiece] = job.carried_before(move).then(move.carry)
         job.progress.moves_done += 1
         job.progress.moves_left -= 1

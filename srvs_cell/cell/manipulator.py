@@ -7,14 +7,17 @@ the command, so that a stop requested while the interlocks were read is not over
 
 from __future__ import annotations
 
+import math
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.cell.interlocks import check_robot_ready, check_speed, check_target
 from srvs_cell.cell.journal import GripperKnowledge
-from srvs_cell.geometry import Transform, pose_difference
+from srvs_cell.geometry import Transform, Xyzwpr, pose_difference
 from srvs_cell.ports import (
     CommandRejectedError,
     GripState,
@@ -32,13 +35,14 @@ if TYPE_CHECKING:
     from srvs_cell.cell.journal import Journal
     from srvs_cell.cell.motion import HeldPart
     from srvs_cell.config import CellParameters
-    from srvs_cell.geometry import Xyzwpr
     from srvs_cell.ports import RobotStatus
 
 T = TypeVar("T")
 
 _ARRIVAL_MM = 2.0
 _ARRIVAL_DEG = 1.0
+_IN_ONE_GO_DEG = 150.0
+"""Turn on one straight move of which nobody doubts the sense."""
 
 
 @dataclass
@@ -77,6 +81,7 @@ class Manipulator:
         self._run = run
         self._halt_reason = ""
         self._under_way = 0
+        self._commanded_to: Xyzwpr | None = None
 
     @property
     def busy(self) -> bool:
@@ -94,10 +99,19 @@ class Manipulator:
     async def move_linear(self, target: Xyzwpr, speed_mm_s: float, purpose: str) -> Xyzwpr:
         """Move in a straight line; return the pose reported at the end.
 
+        A controller turns the tool the shorter way round, which near half a turn may be either: a move that turns it
+        farther stops on its way.
+
         Raises:
             AlarmError: an interlock's, the arm's, JOURNAL_FAILED (nothing has moved), or MOTION_STOPPED.
         """
         check_speed(speed_mm_s, self._parameters.motion)
+        *stops, _ = turning_stops(self._commanded_to or target, target)
+        for stop in stops:
+            await self._straight(stop, speed_mm_s, f"{purpose}, on the way of a long turn")
+        return await self._straight(target, speed_mm_s, purpose)
+
+    async def _straight(self, target: Xyzwpr, speed_mm_s: float, purpose: str) -> Xyzwpr:
         return await self._move(
             "move_linear",
             target,
@@ -171,6 +185,7 @@ class Manipulator:
                 self.hand.knowledge = GripperKnowledge.UNKNOWN
                 raise
             await self._record(motion, "done", {"pose": list(reached.as_tuple())})
+        self._commanded_to = target
         _check_arrival(target, reached)
         return reached
 
@@ -237,6 +252,13 @@ class Manipulator:
         except PortError as error:
             await self._record(motion, "failed", {"alarm": error.alarm.name, "detail": error.detail})
             raise
+
+
+def turning_stops(begin: Xyzwpr, end: Xyzwpr) -> list[Xyzwpr]:
+    """Return where a straight move ends, and before that where it stops so that its R nowhere changes by too much."""
+    parts = max(1, math.ceil(abs(end.r_deg - begin.r_deg) / _IN_ONE_GO_DEG))
+    a, b = np.array(begin.as_tuple()), np.array(end.as_tuple())
+    return [*(Xyzwpr(*(a + (b - a) * number / parts).tolist()) for number in range(1, parts)), end]
 
 
 def _check_arrival(target: Xyzwpr, reached: Xyzwpr) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
     from srvs_cell.planning.hand import HandMotion
     from srvs_cell.planning.problem import ProblemObject
     from srvs_cell.scene import Grasp, Place
-
-_HALF_TURN_DEG = 180.0
 
 
 class Access:
@@ -97,9 +94,6 @@ class Access:
     def why_not_way(self, way: list[Xyzwpr]) -> str:
         """Return why the TCP cannot go straight from pose to pose, or an empty string."""
         low_mm, high_mm = self._hand.z_mm
-        if any(abs(after.r_deg - before.r_deg) > _HALF_TURN_DEG for before, after in pairwise(way)):
-            # A controller takes the shorter way round, which would wind up the wrist.
-            return "the wrist would turn by more than half a turn"
         for pose in way:
             if not low_mm <= pose.z_mm <= high_mm:
                 return f"z = {pose.z_mm:.1f} mm is outside the workspace's {low_mm:g} to {high_mm:g} mm"

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 _TOOL_DOWN_W_DEG = 180.0
 _QUARTER_DEG = 90.0
 _HALF_TURN_DEG = 180.0
-_IN_ONE_GO_DEG = 150.0
-"""Turn on one straight move of which nobody doubts the sense."""
 
 
 @dataclass(frozen=True)
@@ -105,17 +103,6 @@ class HandMotion:
         way = Approach.of(at, self.travel_z_mm(tops.to_pick_mm), self.approach_mm)
         lifted_z_mm = max(way.near.z_mm, self.travel_z_mm(tops.carried_mm, self.hang_mm(at)))
         return way, replace(way.above, z_mm=lifted_z_mm)
-
-    def halfway(self, above: Xyzwpr, carry: Carry) -> tuple[Xyzwpr, ...]:
-        """Return where the hand stops on the way to above a place with a part that it turns far; else nothing.
-
-        A controller goes the shorter way round, which near half a turn may be either.
-        """
-        if abs(carry.turn_deg) <= _IN_ONE_GO_DEG:
-            return ()
-        back_x_mm, back_y_mm = ((carry.from_mm[axis] - carry.to_mm[axis]) / 2.0 for axis in (0, 1))
-        r_deg = above.r_deg - carry.turn_deg / 2.0
-        return (replace(above, x_mm=above.x_mm + back_x_mm, y_mm=above.y_mm + back_y_mm, r_deg=r_deg),)
 
     def place_way(self, release: Xyzwpr, hang_mm: float, tops: LegTops) -> tuple[Approach, Approach]:
         """Return the way down to a place with a workpiece that hangs below the TCP, and the way up without it."""

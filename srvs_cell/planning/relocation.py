@@ -363,8 +363,7 @@ def _check_ways(made: CellPlan, workpieces: Sequence[Workpiece], hand: HandMotio
         at = hand.grasp_pose(before_it.grasp(grasp.choices[move.grasp]), move.turn_deg)
         pick, lifted = hand.pick_way(at, move.tops)
         place, leave = hand.place_way(hand.release_pose(at, move.carry), hand.hang_mm(at), move.tops)
-        halfway = hand.halfway(place.above, move.carry)
-        way = [before, pick.above, pick.at, lifted, *halfway, place.above, place.at, leave.above]
+        way = [before, pick.above, pick.at, lifted, place.above, place.at, leave.above]
         if hand.looks_between or number == len(made.moves):
             way += [replace(leave.above, z_mm=max(hand.observe.z_mm, leave.above.z_mm)), hand.observe]
         if why := access.why_not_way(way):

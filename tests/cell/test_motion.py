@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis.strategies import floats, sampled_from
 
+from srvs_cell.cell.manipulator import turning_stops
 from srvs_cell.cell.motion import HeldPart, held_part
 from srvs_cell.geometry import Xyzwpr, fanuc_rotation, wrap_angle_deg
 from srvs_cell.planning import Approach, Carry, CellMove, LegTops
@@ -84,3 +85,16 @@ def test_the_tool_never_turns_more_than_a_quarter_from_the_observe_pose() -> Non
     grasp = Grasp((0.0, 0.0, 10.0), 0.0, 30.0)
     turned = replace(HAND, observe=Xyzwpr(0.0, 0.0, 0.0, 180.0, 0.0, -80.0))
     assert turned.grasp_pose(grasp).r_deg == pytest.approx(-90.0)
+
+
+@given(begin_deg=ANGLE, end_deg=ANGLE)
+def test_a_long_turn_stops_so_often_that_its_sense_is_certain(begin_deg: float, end_deg: float) -> None:
+    begin, end = Xyzwpr(100.0, 0.0, 50.0, 180.0, 0.0, begin_deg), Xyzwpr(200.0, 50.0, 80.0, 180.0, 0.0, end_deg)
+    way = [begin, *turning_stops(begin, end)]
+    assert way[-1] == end
+    turns_deg = np.diff([pose.r_deg for pose in way])
+    assert np.abs(turns_deg).max() <= 150.0 + 1e-9
+    assert turns_deg.sum() == pytest.approx(end_deg - begin_deg, abs=1e-9)
+    steps_mm = np.diff([pose.as_tuple()[:3] for pose in way], axis=0)
+    assert np.allclose(steps_mm, np.array([100.0, 50.0, 30.0]) / len(steps_mm))
+    assert len(way) == 2 or abs(end_deg - begin_deg) > 150.0
