@@ -18,8 +18,10 @@ from __future__ import annotations
 import argparse
 import asyncio
 import math
+import statistics
 import tempfile
 import threading
+import time
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -113,6 +115,11 @@ def main() -> None:
     print(f"refused with: {dict(reasons)}")
     print(f"moves: {sum(result.moves for result in results)}")
     print(f"scenes with a contact: {sum(bool(result.contacts) for result in results)}")
+    for count in sorted({result.parts for result in results if result.plan_s is not None}):
+        times_s = [result.plan_s for result in results if result.parts == count and result.plan_s is not None]
+        print(
+            f"planning {count:2} parts, processor s: median {statistics.median(times_s):.2f}, worst {max(times_s):.2f}"
+        )
 
 
 @dataclass
@@ -125,6 +132,7 @@ class Result:
     said: str
     moves: int
     contacts: Counter[str]
+    plan_s: float | None = None
 
 
 @dataclass
@@ -311,9 +319,9 @@ def run_scene(seed: int, *, plan_only: bool) -> Result:
     unknown = (random.random(len(parts)) < UNKNOWN_SHARE).tolist()
     gripper = GripperGeometry()
     world = World(parts, gripper, TABLE_CENTRE_MM, Transform.from_xyzwpr("base", "tcp", OBSERVE_POSE).matrix)
-    time = SimpleNamespace(lock=threading.RLock())
+    clock = SimpleNamespace(lock=threading.RLock())
     arm = SimArm(
-        time,  # type: ignore[arg-type]
+        clock,  # type: ignore[arg-type]
         world,
         Kinematics(gripper.flange_to_tcp_mm),
         OBSERVE_POSE,
@@ -396,19 +404,22 @@ def _refused(problem: Problem) -> str:
 
 def _planned(config: CellConfig, view: CommonView, workpieces: Sequence[Workpiece]) -> Result:
     """Say what the planner makes of a scene."""
+    began_s = time.process_time()
     try:
         made = _plan(config, view, workpieces)
     except AlarmError as error:
         if error.alarm.name not in REFUSALS:
             raise
-        return Result(len(workpieces), "refused", error.alarm.name, error.detail, 0, Counter())
+        plan_s = time.process_time() - began_s
+        return Result(len(workpieces), "refused", error.alarm.name, error.detail, 0, Counter(), plan_s)
+    plan_s = time.process_time() - began_s
     answer = made.relocation
     if not has_plan(answer):
         infeasible = answer.status is PlanStatus.INFEASIBLE
         how = _refused(made.table.problem) if infeasible else "search ended at its cap"
-        return Result(len(workpieces), how, "PLAN_INFEASIBLE", "; ".join(answer.reasons), 0, Counter())
+        return Result(len(workpieces), how, "PLAN_INFEASIBLE", "; ".join(answer.reasons), 0, Counter(), plan_s)
     proven = ", proven" if answer.travel_proven else ", moves proven" if answer.moves_proven else ""
-    return Result(len(workpieces), f"planned{proven}", "", "", len(made.moves), Counter())
+    return Result(len(workpieces), f"planned{proven}", "", "", len(made.moves), Counter(), plan_s)
 
 
 async def _run(
