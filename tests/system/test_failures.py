@@ -45,6 +45,18 @@ def bring_up(cell: SimulatedCell) -> None:
         follow(cell, lambda status, state=state: status["state"] == state)  # type: ignore[misc]
 
 
+def clear_until_stopped(cell: SimulatedCell) -> None:
+    """Clear, again where the robot's program has not ended the cut move yet (ROBOT_BUSY)."""
+    deadline_s = time.monotonic() + LIMIT_S
+    while True:
+        assert cell.client.command("command/clear")["accepted"]
+        status = follow(cell, lambda status: status["state"] in {"Stopped", "Aborted"})
+        if status["state"] == "Stopped":
+            return
+        assert time.monotonic() < deadline_s, status["alarms"]
+        assert codes(status) <= {2011}
+
+
 def start_until_holding(cell: SimulatedCell) -> dict[str, Any]:
     """Start the job and return the status when the gripper has taken the first part."""
     bring_up(cell)
@@ -132,7 +144,9 @@ def test_a_cut_wire_and_a_silent_controller_end_in_named_alarms_and_nothing_is_t
 
     if status["gripper"]["knowledge"] == "unknown":
         assert cell.client.command("resolve", {"gripper": "holding"})["accepted"]
-    bring_up(cell)
+    clear_until_stopped(cell)
+    assert cell.client.command("command/reset")["accepted"]
+    follow(cell, lambda status: status["state"] == "Idle")
     assert cell.client.command("command/start")["accepted"]
     follow(cell, lambda status: status["step"] == "pick")
     motions = cell.control.ask("truth")["motions_started"]
