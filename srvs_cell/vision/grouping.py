@@ -49,6 +49,9 @@ _NOISE_GREY = 0.5
 _LEAST_WEIGHT = 0.1
 """Grey values per pixel: what a pixel counts that lies on no slope."""
 _BESIDE_PX = 1.0
+_RIM_PX = 3
+_MOST_RIM = 0.5
+"""Share of a region's pixels that its rim may have to be left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +111,9 @@ def group_surfaces(
     own = np.full((len(left.planes) + 1, 3), np.nan)
     for match in matches:
         own[match.left] = match.disparity_plane
-    region = left.labels.ravel()[pixels]
-    samples = sample_regions(left)
+    inner = _inner_labels(left, np.isnan(own).any(axis=1))
+    region = inner.ravel()[pixels]
+    samples = sample_regions(left, inner)
     owner = assign_regions(pair, samples, own, surfaces, limits)
     for k in np.unique(owner[owner >= 0]).tolist():
         rows, columns = np.divmod(pixels[(owner == k)[region]], left.labels.shape[1])
@@ -186,17 +190,37 @@ def assign_regions(
     return np.asarray(chosen)
 
 
-def sample_regions(image: PlaneImage) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+def _inner_labels(image: PlaneImage, unmatched: Mask) -> NDArray[np.int32]:
+    """Return the labels without the rim of those regions that keep most of their pixels without it.
+
+    The edge around a large region without a match may be that of what stands before it, and speak for that one's plane.
+
+    Args:
+        image: the left image's planes.
+        unmatched: which labels have no plane of their own, shape (labels,).
+    """
+    labels, count = image.labels, len(image.planes) + 1
+    rim = cv2.dilate(_outlines(labels).view(np.uint8), np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)) > 0
+    on_rim = np.bincount(labels[rim], minlength=count)
+    area = np.array([0.0, *[plane.area_px for plane in image.planes]])
+    inner = labels.copy()
+    inner[rim & (unmatched & (on_rim < _MOST_RIM * area))[labels]] = 0
+    return inner
+
+
+def sample_regions(
+    image: PlaneImage, labels: NDArray[np.int32]
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Return region, row and column of every region's pixels, of a large region of a part of them, shape (N,)."""
     # what belongs to no region has no share
     share = np.array([0.0, *[_SAMPLED_PIXELS / plane.area_px for plane in image.planes]])
     limit = (np.minimum(share, 1.0) * _WHOLE).astype(np.uint16)
     # a lattice of irrational steps, modulo 1, leaves pixels out evenly along every direction
-    across, down = (np.arange(size) * step for size, step in zip(image.labels.shape[::-1], _LATTICE, strict=True))
+    across, down = (np.arange(size) * step for size, step in zip(labels.shape[::-1], _LATTICE, strict=True))
     place = np.add.outer(down.astype(np.uint16), across.astype(np.uint16))
-    kept = np.flatnonzero(place < limit.take(image.labels))
-    rows, columns = np.divmod(kept, image.labels.shape[1])
-    return image.labels.ravel()[kept].astype(np.intp), rows, columns
+    kept = np.flatnonzero(place < limit.take(labels))
+    rows, columns = np.divmod(kept, labels.shape[1])
+    return labels.ravel()[kept].astype(np.intp), rows, columns
 
 
 def _difference(
