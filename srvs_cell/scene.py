@@ -146,6 +146,8 @@ class Workpiece:
         grasp_refusal: why there is no grasp; empty where there is one.
         rise_deg: direction in which an inclined top face rises, from base x towards base y, modulo 360; None where it
             is level, and for an object of several faces.
+        brightness: median grey value of the top face (of several the largest) in the left image, 0 to 255; None where
+            it was not measured.
     """
 
     id: int
@@ -160,6 +162,7 @@ class Workpiece:
     grasp: Grasp | None
     grasp_refusal: str = ""
     rise_deg: float | None = None
+    brightness: float | None = None
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ def workpiece_json(workpiece: Workpiece) -> Json:
         "yaw_deg": None if workpiece.yaw_deg is None else round(workpiece.yaw_deg, 3),
         "rise_deg": None if workpiece.rise_deg is None else round(workpiece.rise_deg, 3),
         "size_mm": _rounded(workpiece.size_mm),
+        "brightness": workpiece.brightness,
         "covariance_mm2": [_rounded(row) for row in workpiece.covariance_mm2],
         "footprint_mm": [_rounded(point) for point in workpiece.footprint_mm],
         "surfaces": list(workpiece.surfaces),

@@ -271,5 +271,8 @@ def _show(perception: Perception) -> None:
     for workpiece in perception.workpieces:
         position = ", ".join(f"{value:.1f}" for value in workpiece.position_mm)
         yaw = "" if workpiece.yaw_deg is None else f", yaw {workpiece.yaw_deg:.1f} deg"
-        typer.echo(f"{workpiece.id}: {workpiece.kind} at ({position}) mm, height {workpiece.height_mm:.1f} mm{yaw}")
+        grey = "" if workpiece.brightness is None else f", brightness {workpiece.brightness:.0f}"
+        typer.echo(
+            f"{workpiece.id}: {workpiece.kind} at ({position}) mm, height {workpiece.height_mm:.1f} mm{yaw}{grey}"
+        )
     typer.echo(f"{sum(perception.timings_ms.values()):.0f} ms")

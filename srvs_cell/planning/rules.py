@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass as settings
 from scipy.optimize import linear_sum_assignment
 
@@ -32,7 +32,20 @@ ENTRY_POINT_GROUP = "srvs_cell.goal_rules"
 _STRICT = ConfigDict(extra="forbid")
 _FAR_MM = 1e9
 
+_MAX_GREY = 255.0
+
+
+def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
+    least, greatest = limits
+    if least > greatest:
+        raise ValueError(f"the least value {least:g} is greater than the greatest {greatest:g}")
+    return limits
+
+
 Length = Annotated[float, Field(ge=0.0, le=5000.0)]
+Lengths = Annotated[tuple[Length, Length], AfterValidator(_ordered)]
+Grey = Annotated[float, Field(ge=0.0, le=_MAX_GREY)]
+Greys = Annotated[tuple[Grey, Grey], AfterValidator(_ordered)]
 Coordinate = Annotated[float, Field(ge=-5000.0, le=5000.0)]
 Yaw = Annotated[float, Field(ge=-360.0, le=360.0)]
 
@@ -275,6 +288,8 @@ class ElementChange:
         reject_kinds: kinds that are rejected.
         height_mm: least and greatest height of what is not rejected.
         size_mm: least and greatest length of what is not rejected.
+        brightness: least and greatest grey value of the top face of what is not rejected; one that was not measured
+            rejects nothing, and that is said.
         bin_mm: where the bin is; what stands there was rejected before.
         stock_mm: where the stock stands; what stands there is no part of the scene that is judged.
         stock_radius_mm: distance from a stock place, or from the bin, at which a workpiece counts as standing there.
@@ -284,8 +299,9 @@ class ElementChange:
     """
 
     reject_kinds: frozenset[str] = frozenset()
-    height_mm: tuple[Length, Length] = (0.0, 5000.0)
-    size_mm: tuple[Length, Length] = (0.0, 5000.0)
+    height_mm: Lengths = (0.0, 5000.0)
+    size_mm: Lengths = (0.0, 5000.0)
+    brightness: Greys = (0.0, _MAX_GREY)
     bin_mm: tuple[Coordinate, Coordinate]
     stock_mm: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(max_length=100)] = ()
     stock_radius_mm: Length = 20.0
@@ -352,6 +368,12 @@ class ElementChange:
             for each, reason in zip(standing, why, strict=True)
             if reason
         )
+        if self.brightness != (0.0, _MAX_GREY):
+            notes += tuple(
+                f"workpiece {each.workpiece.id} is not judged by its brightness: that was not measured"
+                for each, reason, stocked, binned in zip(standing, why, in_stock, in_bin, strict=True)
+                if each.workpiece.brightness is None and not (reason or stocked or binned)
+            )
         further = ((self.bin_mm, PlaceKind.BIN), *((point, PlaceKind.SLOT) for point in vacant))
         yaws_deg = {} if self.place_yaw_deg is None else dict.fromkeys(to_fill, self.place_yaw_deg)
         if self.bin_yaw_deg is not None:
@@ -364,12 +386,13 @@ class ElementChange:
     def _why_rejected(self, workpiece: Workpiece) -> str:
         if workpiece.kind in self.reject_kinds:
             return f"its kind is {workpiece.kind}"
-        for what, value_mm, (least_mm, most_mm) in (
-            ("height", workpiece.height_mm, self.height_mm),
-            ("length", workpiece.size_mm[0], self.size_mm),
+        for what, value, (least, most), unit in (
+            ("height", workpiece.height_mm, self.height_mm, " mm"),
+            ("length", workpiece.size_mm[0], self.size_mm, " mm"),
+            ("brightness", workpiece.brightness, self.brightness, ""),
         ):
-            if not least_mm <= value_mm <= most_mm:
-                return f"its {what} {value_mm:.1f} mm is outside {least_mm:g} to {most_mm:g} mm"
+            if value is not None and not least <= value <= most:
+                return f"its {what} {value:.1f}{unit} is outside {least:g} to {most:g}{unit}"
         return ""
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
+from srvs_cell.vision.brightness import face_brightness
 from srvs_cell.vision.face_fit import EdgeField
 from srvs_cell.vision.grasping import GraspParameters
 from srvs_cell.vision.kind_matching import group_faces
@@ -125,12 +126,14 @@ def recognise(
     unknown = [surface for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
     explained = explained_polygons(tops, rig, table_z_mm)
     unknown += _placed(rising_regions(unseen, explained, left.grey.shape), fields, rig, table_z_mm, limits)
-    faces = [measure_face(top, rig, reference) for top in tops]
+    faces = [measure_face(top, left.grey, rig, reference) for top in tops]
     workpieces = [
         make_workpiece(group, faces, table_z_mm, limits.grasp)
         for group in group_faces([one.face for one in faces], table_z_mm, kinds)
     ]
-    workpieces += [unrecognised(surface, table_z_mm) for surface in unknown]
+    workpieces += [
+        unrecognised(surface, table_z_mm, face_brightness(surface.outline_mm, left.grey, rig)) for surface in unknown
+    ]
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
 

@@ -41,7 +41,9 @@ def workpiece_to_json(workpiece: Workpiece) -> dict[str, Any]:
         "position_mm": list(workpiece.position_mm),
         "height_mm": workpiece.height_mm,
         "yaw_deg": workpiece.yaw_deg,
+        "rise_deg": workpiece.rise_deg,
         "size_mm": list(workpiece.size_mm),
+        "brightness": workpiece.brightness,
         "covariance_mm2": workpiece.covariance_mm2.tolist(),
         "surfaces": list(workpiece.surfaces),
     }

@@ -13,12 +13,15 @@ import cv2
 import numpy as np
 
 from srvs_cell.scene import UNKNOWN_KIND, Workpiece
+from srvs_cell.vision.brightness import face_brightness
 from srvs_cell.vision.faces import Face, Figure
 from srvs_cell.vision.grasping import plan_grasp, plan_joint_grasp
 from srvs_cell.vision.top_faces import SURE_RMS_PX, height_above_mm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from srvs_cell.calibration import TableReference
     from srvs_cell.geometry import Array
@@ -41,14 +44,18 @@ class MeasuredFace:
         face: its long side is its length.
         covariance_mm2: 3x3 of its centre, random and systematic.
         surfaces: ids of the surfaces that belong to its object.
+        brightness: its grey value in the left image, 0 to 255; None where it was not measured.
     """
 
     face: Face
     covariance_mm2: Array
     surfaces: tuple[int, ...]
+    brightness: float | None
 
 
-def measure_face(top: Top, rig: RectifiedRig, reference: TableReference | None) -> MeasuredFace:
+def measure_face(
+    top: Top, grey: NDArray[np.uint8], rig: RectifiedRig, reference: TableReference | None
+) -> MeasuredFace:
     """Return the face of a top, corrected where the table told how."""
     face = _long_side_first(top.fit.face)
     centre = (face.x_mm, face.y_mm, face.z_mm)
@@ -61,7 +68,8 @@ def measure_face(top: Top, rig: RectifiedRig, reference: TableReference | None) 
     mm_per_px = (rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
     # edges that do not fit are another face's or a shadow's, and may have moved a side by some times their misfit
     doubt_mm = _DOUBT_FACTOR * max(0.0, top.fit.rms_px - SURE_RMS_PX) * float(mm_per_px)
-    return MeasuredFace(face, top.fit.covariance_mm2 + systematic + np.eye(3) * doubt_mm**2, top.surfaces)
+    covariance_mm2 = top.fit.covariance_mm2 + systematic + np.eye(3) * doubt_mm**2
+    return MeasuredFace(face, covariance_mm2, top.surfaces, face_brightness(top.fit.face.corners_mm(), grey, rig))
 
 
 def make_workpiece(
@@ -100,10 +108,11 @@ def make_workpiece(
         grasp=grasp,
         grasp_refusal=refusal,
         rise_deg=body.rise_deg,
+        brightness=max(members, key=lambda one: one.face.length_mm * one.face.width_mm).brightness,
     )
 
 
-def unrecognised(surface: Surface, table_z_mm: float) -> Workpiece:
+def unrecognised(surface: Surface, table_z_mm: float, brightness: float | None) -> Workpiece:
     """Return what stands there where a surface is no top face that could be measured."""
     hull = cv2.convexHull(surface.outline_mm[:, :2].astype(np.float32))
     _, (length_mm, width_mm), angle_deg = cv2.minAreaRect(hull)
@@ -121,6 +130,7 @@ def unrecognised(surface: Surface, table_z_mm: float) -> Workpiece:
         surfaces=(surface.id,),
         grasp=None,
         grasp_refusal="the shape is in no library",
+        brightness=brightness,
     )
 
 

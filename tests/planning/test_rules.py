@@ -90,6 +90,33 @@ def test_element_change_puts_a_substitute_where_the_rejected_one_stood() -> None
     assert "1 workpieces are rejected and 0 places are vacant, but 0 of kind cuboid are in stock" in caught.value.detail
 
 
+def test_element_change_rejects_what_is_too_dark_and_says_of_what_the_brightness_is_unknown() -> None:
+    rule = ElementChange(
+        brightness=(100.0, 200.0), bin_mm=(320.0, 0.0), stock_mm=((650.0, 0.0),), substitute_kind="cuboid"
+    )
+    greys = (100.0, 99.5, None, None)
+    places = ((450, -200), (450, 0), (450, 200), (650, 0))
+    parts = [
+        dataclasses.replace(workpiece(i, place, 60), brightness=grey)
+        for i, (place, grey) in enumerate(zip(places, greys, strict=True))
+    ]
+    answer = plan_relocation(parts, PARAMETERS, WORKSPACE, rule)
+    assert [(move.workpiece, move.to_mm) for move in answer.moves] == [
+        (1, (320.0, 0.0)),
+        (3, pytest.approx((450.0, 0.0))),
+    ]
+    assert [reason for reason in answer.relocation.reasons if "brightness" in reason] == [
+        "workpiece 1 is rejected: its brightness 99.5 is outside 100 to 200",
+        "workpiece 2 is not judged by its brightness: that was not measured",
+    ]
+    glaring = [dataclasses.replace(part, brightness=None if part.id == 3 else 200.5) for part in parts[2:]]
+    assert len(plan_relocation(glaring, PARAMETERS, WORKSPACE, rule).moves) == 2
+    unlimited = dataclasses.replace(rule, brightness=(0.0, 255.0))
+    answer = plan_relocation(parts, PARAMETERS, WORKSPACE, unlimited)
+    assert not answer.moves
+    assert not any("brightness" in reason for reason in answer.relocation.reasons)
+
+
 def test_the_config_names_the_rule() -> None:
     parts = [workpiece(0, (450, -100), 60)]
     settings = {"places": [{"kind": "cuboid", "x_mm": 450.0, "y_mm": 100.0}]}
@@ -112,6 +139,16 @@ def test_the_config_names_the_rule() -> None:
         ),
         ("height_order", {"colour": "red"}, "planning.rule_settings.colour: unexpected keyword argument"),
         ("element_change", {"bin_mm": [0.0, 0.0]}, "planning.rule_settings.substitute_kind: field required"),
+        (
+            "element_change",
+            {"bin_mm": [0.0, 0.0], "substitute_kind": "cuboid", "brightness": [0.0, 256.0]},
+            "planning.rule_settings.brightness.1 = 256.0: should be less than or equal to 255",
+        ),
+        (
+            "element_change",
+            {"bin_mm": [0.0, 0.0], "substitute_kind": "cuboid", "brightness": [200.0, 100.0]},
+            "the least value 200 is greater than the greatest 100",
+        ),
     ],
 )
 def test_a_wrong_rule_is_a_config_alarm(name: str, settings: dict[str, object], words: str) -> None:

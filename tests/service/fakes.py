@@ -67,6 +67,7 @@ class FakeUnit:
             "height_mm": 60.0,
             "yaw_deg": None,
             "size_mm": [50.0, 40.0],
+            "brightness": 187.0,
             "grasp_refusal": "",
         }
         alarm = {

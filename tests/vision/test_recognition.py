@@ -60,6 +60,12 @@ def test_only_the_wedge_rises_and_it_is_known_where_to(seen: tuple[Workpiece, ..
     assert abs(wrap_angle_deg(rise_deg - np.rad2deg(np.arctan2(-upwards[1], -upwards[0])), 360.0)) < 0.6
 
 
+@pytest.mark.parametrize("number", range(1, 5))
+def test_brightness_is_that_of_the_top_face_alone(seen: tuple[Workpiece, ...], number: int) -> None:
+    # the painter makes side faces half as bright as the top
+    assert of_surface(seen, number).brightness == pytest.approx(PARTS[number - 1].top_grey, abs=1.0)
+
+
 def test_every_part_once_highest_first(seen: tuple[Workpiece, ...]) -> None:
     assert len(seen) == len(PARTS)
     assert [workpiece.id for workpiece in seen] == list(range(len(PARTS)))
@@ -89,6 +95,7 @@ def test_label_printed_on_a_top_belongs_to_it() -> None:
     assert [workpiece.kind for workpiece in workpieces] == ["cuboid"]
     assert workpieces[0].size_mm == pytest.approx((60.0, 40.0), abs=0.7)
     assert set(workpieces[0].surfaces) == {1, 2}
+    assert workpieces[0].brightness == pytest.approx(200.0, abs=1.0)
 
 
 def test_part_without_a_matched_plane_is_recovered_and_can_be_switched_off() -> None:
@@ -114,6 +121,7 @@ def test_strange_shape_is_reported_as_unknown_with_its_surface() -> None:
     assert workpiece.surfaces == (1,)
     assert workpiece.grasp is None
     assert workpiece.grasp_refusal
+    assert workpiece.brightness == 110.0
 
 
 def test_jaws_close_along_the_short_side(seen: tuple[Workpiece, ...]) -> None:

@@ -24,6 +24,7 @@ WORKPIECE = Workpiece(
     surfaces=(3,),
     grasp=None,
     grasp_refusal="test",
+    brightness=131.0,
 )
 PERCEPTION = Perception(
     IMAGE,
@@ -61,7 +62,9 @@ def test_the_keys_are_those_of_the_contract() -> None:
             "position_mm": [1.0, 2.0, 3.0],
             "height_mm": 40.0,
             "yaw_deg": None,
+            "rise_deg": None,
             "size_mm": [30.0, 30.0],
+            "brightness": 131.0,
             "covariance_mm2": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             "surfaces": [3],
         }
