@@ -60,7 +60,8 @@ def _part(index: int, part: Part, start: PartPose, now: PartPose) -> dict[str, A
 def _pose(part: Part, pose: PartPose) -> dict[str, Any]:
     """Return place and direction; yaw of the long side modulo 180, of a prism's corner modulo 60, none of a cylinder.
 
-    ``position_mm`` is the true centre of the top (wedge: inclined) face, wherever the part lies.
+    ``position_mm`` is the true centre of the top (wedge: inclined) face, wherever the part lies; ``rise_deg`` the
+    direction in which that of a wedge rises, modulo 360.
     """
     matrix = pose.base_T_part
     top = matrix[:3, :3] @ part.top_centre_mm + matrix[:3, 3]
@@ -69,9 +70,12 @@ def _pose(part: Part, pose: PartPose) -> dict[str, Any]:
         yaw_deg = pose.yaw_deg
     elif part.kind == PRISM:
         yaw_deg = pose.yaw_deg % _PRISM_SYMMETRY_DEG
+    # a wedge's low side is at its own +x
+    rise_deg = float(np.rad2deg(np.arctan2(-matrix[1, 0], -matrix[0, 0])) % 360.0) if part.kind == WEDGE else None
     return {
         "position_mm": [float(value) for value in top],
         "base_mm": [float(value) for value in np.asarray(matrix[:3, 3])],
         "yaw_deg": yaw_deg,
+        "rise_deg": rise_deg,
         "tilt_deg": pose.tilt_deg,
     }

@@ -20,6 +20,7 @@ ASSOCIATION_LIMIT_MM = 30.0
 
 PRISM_SYMMETRY_DEG = 60.0
 HALF_TURN_DEG = 180.0
+WHOLE_TURN_DEG = 360.0
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class TruePart:
         height_mm: highest point above the table when upright.
         yaw_deg: direction of the long side; None where it means nothing.
         tilt_deg: angle of the part's own up axis against the vertical.
+        rise_deg: direction in which a wedge's top rises; None for all others.
     """
 
     id: int
@@ -51,12 +53,13 @@ class TruePart:
     height_mm: float
     yaw_deg: float | None
     tilt_deg: float
+    rise_deg: float | None = None
 
     @classmethod
     def from_truth(cls, part: Mapping[str, Any]) -> TruePart:
         """Read one part of the simulator's answer to ``{"op": "truth"}``."""
         x, y, z = part["position_mm"]
-        yaw = part["yaw_deg"]
+        yaw, rise = part["yaw_deg"], part["rise_deg"]
         return cls(
             int(part["id"]),
             str(part["kind"]),
@@ -64,6 +67,7 @@ class TruePart:
             float(part["height_mm"]),
             None if yaw is None else float(yaw),
             float(part["tilt_deg"]),
+            None if rise is None else float(rise),
         )
 
     @property
@@ -137,6 +141,8 @@ def associate(claims: NDArray[np.float64], truth: NDArray[np.float64], limit_mm:
 
 def _angle_error_deg(before: TruePart, after: TruePart) -> float:
     """Turn between two poses of a part, modulo the symmetry of its kind; 0 for a part without direction."""
+    if before.rise_deg is not None and after.rise_deg is not None:
+        return abs(wrap_angle_deg(after.rise_deg - before.rise_deg, WHOLE_TURN_DEG))
     if before.yaw_deg is None or after.yaw_deg is None:
         return 0.0
     period_deg = PRISM_SYMMETRY_DEG if before.kind == "prism" else HALF_TURN_DEG

@@ -53,6 +53,28 @@ def test_half_a_turn_is_no_turn() -> None:
     assert run(replace(at(LOW, 400.0, -100.0), yaw_deg=189.0), at(HIGH, 400.0, 100.0)).success
 
 
+def test_half_a_turn_of_a_wedge_is_the_wrong_way_round() -> None:
+    wedge = replace(LOW, kind="wedge", rise_deg=359.0)
+    there = at(wedge, 400.0, -100.0)
+    for rise_deg, reasons in ((2.0, ()), (179.0, ("turned by 180.0 deg",))):
+        after = [replace(there, rise_deg=rise_deg), at(HIGH, 400.0, 100.0)]
+        result = grade([wedge, HIGH], after, PERCEIVED, GOALS, BOTH)
+        assert result.parts[0].reasons == reasons
+
+
+def test_the_truth_of_the_simulator_is_read() -> None:
+    answer = {
+        "id": 2,
+        "kind": "wedge",
+        "position_mm": [1.0, 2.0, 3.0],
+        "height_mm": 40.0,
+        "yaw_deg": 10.0,
+        "tilt_deg": 0.5,
+        "rise_deg": 190.0,
+    }
+    assert TruePart.from_truth(answer) == TruePart(2, "wedge", (1.0, 2.0, 3.0), 40.0, 10.0, 0.5, 190.0)
+
+
 def test_a_part_without_a_planned_move_must_stay() -> None:
     parts = [LOW, HIGH, TruePart(2, "cylinder", (500.0, 0.0, 40.0), 40.0, None, 0.0)]
     after = [at(LOW, 400.0, -100.0), at(HIGH, 400.0, 100.0), at(parts[2], 503.0, 0.0)]

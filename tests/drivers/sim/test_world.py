@@ -10,10 +10,10 @@ import pytest
 
 from drivers.sim.controlled_arm import MotionRefusedError
 from drivers.sim.gripper_geometry import GripperGeometry
-from drivers.sim.parts import CUBOID, Part
+from drivers.sim.parts import CUBOID, WEDGE, Part
 from drivers.sim.truth import truth
 from drivers.sim.world import World
-from srvs_cell.geometry import Transform, Xyzwpr, pose_difference
+from srvs_cell.geometry import Transform, Xyzwpr, axis_rotation, pose_difference, wrap_angle_deg
 from tests.drivers.sim.stepping import above, finish_motion, go, grasp_pose, grip, make_simulation, offset, pass_time
 
 if TYPE_CHECKING:
@@ -46,6 +46,32 @@ def test_centred_grasps_carry_every_kind_of_part_and_put_it_back(tmp_path: Path,
         assert part["tilt_deg"] < 0.5
         assert np.linalg.norm(np.subtract(part["position_mm"], part["start"]["position_mm"])) < 0.5
     assert arm.fault is None
+
+
+def test_a_wedge_that_is_put_down_the_wrong_way_round_has_the_same_yaw_and_rises_the_other_way(tmp_path: Path) -> None:
+    simulation = make_simulation(tmp_path, objects=3, seed=0)
+    kinds = [part.kind for part in simulation.world.parts]
+    assert [part["rise_deg"] is None for part in truth(simulation)["parts"]] == [kind != WEDGE for kind in kinds]
+    number = kinds.index(WEDGE)
+    wedge = simulation.world.parts[number]
+    x_mm, y_mm, _ = wedge.vertices_mm()[np.argmax(wedge.vertices_mm()[:, 2])]
+    high_mm = axis_rotation("z", wedge.yaw_deg)[:2, :2] @ (x_mm, y_mm)
+    before = truth(simulation)["parts"][number]
+    rise = np.deg2rad(before["rise_deg"])
+    # along the rise the high corner is half a length away from the middle
+    assert high_mm @ (np.cos(rise), np.sin(rise)) == pytest.approx(wedge.length_mm / 2.0, abs=0.1)
+
+    pose = grasp_pose(simulation, number)
+    go(simulation, above(pose))
+    go(simulation, pose, 80.0)
+    grip(simulation, close=True)
+    for turn_deg in (0.0, 90.0, 180.0):
+        go(simulation, replace(above(pose), r_deg=pose.r_deg + turn_deg))
+    go(simulation, replace(offset(pose, 0.0, 1.0), r_deg=pose.r_deg + 180.0), 80.0)
+    grip(simulation, close=False)
+    after = truth(simulation)["parts"][number]
+    assert wrap_angle_deg(after["yaw_deg"] - before["yaw_deg"], 180.0) == pytest.approx(0.0, abs=1.0)
+    assert abs(wrap_angle_deg(after["rise_deg"] - before["rise_deg"], 360.0)) == pytest.approx(180.0, abs=1.0)
 
 
 def _steel_bar() -> Part:
