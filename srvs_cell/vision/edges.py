@@ -11,18 +11,18 @@ Few pixels have a strong gradient: after the threshold only these are looked at,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import cv2
 import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as checked_dataclass
 
 from srvs_cell.vision.median import median
 from srvs_cell.vision.runs import joined, runs_of, touching_runs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from srvs_cell.vision.parameters import EdgeParameters
 
 _PARTITION_DEG = 45.0
 _PARTITIONS = 8
@@ -31,6 +31,30 @@ _CHANCE_PX = 1.0
 """Votes that a region may lack: along an arc half of the pixels vote for it, give or take where the rows cut it."""
 _KERNEL_SIGMAS = 4.0
 _MASK = np.array([[-0.5, 0.5], [-0.5, 0.5]], dtype=np.float32)
+
+
+@checked_dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
+class EdgeParameters:
+    """Step 2, line-support regions (Burns, Hanson, Riseman 1986)."""
+
+    smoothing_px: Annotated[
+        float, Field(ge=0.0, le=5.0, description="sigma of the Gaussian before the gradient; 0: none")
+    ] = 1.0
+    min_gradient: Annotated[
+        float, Field(gt=0.0, le=100.0, description="least gradient of a strong pixel, grey values per pixel")
+    ] = 0.6
+    max_gradient: Annotated[
+        float, Field(gt=0.0, le=255.0, description="what the noise may raise min_gradient to, grey values per pixel")
+    ] = 4.0
+    noise_factor: Annotated[
+        float, Field(ge=0.0, le=20.0, description="a strong pixel exceeds the image's median gradient this many times")
+    ] = 3.5
+    # along an arc the two partitions share the votes evenly, and a region has half of them give or take a few pixels:
+    # a limit of just one half would drop arcs by chance
+    min_support: Annotated[
+        float, Field(ge=0.0, le=1.0, description="least share of a region's pixels that vote for it")
+    ] = 0.45
+    min_length_px: Annotated[float, Field(ge=1.0, le=200.0, description="least length of a line-support region")] = 6.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -122,6 +122,15 @@ class Face:
         return self.width_mm if self.figure is Figure.RECTANGLE else self.length_mm
 
 
+def same_place(face: Face, other: Face, tolerance_mm: float) -> bool:
+    """Whether two faces are one figure, level or inclined, whose centres and sizes differ by no more than this."""
+    if face.figure is not other.figure or (face.slope_u == 0.0) != (other.slope_u == 0.0):
+        return False
+    place = np.array([face.x_mm - other.x_mm, face.y_mm - other.y_mm, face.z_mm - other.z_mm])
+    sizes, others = (sorted((one.length_mm, one.width_mm)) for one in (face, other))
+    return bool(max(np.linalg.norm(place), *np.abs(np.subtract(sizes, others))) <= tolerance_mm)
+
+
 def inclined_faces(rectangle: Face, slope: float) -> list[Face]:
     """Return a level rectangle inclined along each of its sides, upwards and downwards, by a rise per millimetre."""
     faces = []

@@ -12,6 +12,7 @@ from typing import Annotated
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from srvs_cell.vision.edges import EdgeParameters
 from srvs_cell.vision.recognition import RecognitionParameters
 from srvs_cell.vision.table_alignment import TableParameters
 
@@ -26,30 +27,6 @@ class Maxima(StrEnum):
 
     ADMISSIBLE = "admissible"
     """Over the candidates that pass the gates."""
-
-
-@dataclass(frozen=True, kw_only=True, config=_CONFIG)
-class EdgeParameters:
-    """Step 2, line-support regions (Burns, Hanson, Riseman 1986)."""
-
-    smoothing_px: Annotated[
-        float, Field(ge=0.0, le=5.0, description="sigma of the Gaussian before the gradient; 0: none")
-    ] = 1.0
-    min_gradient: Annotated[
-        float, Field(gt=0.0, le=100.0, description="least gradient of a strong pixel, grey values per pixel")
-    ] = 0.6
-    max_gradient: Annotated[
-        float, Field(gt=0.0, le=255.0, description="what the noise may raise min_gradient to, grey values per pixel")
-    ] = 4.0
-    noise_factor: Annotated[
-        float, Field(ge=0.0, le=20.0, description="a strong pixel exceeds the image's median gradient this many times")
-    ] = 3.5
-    # along an arc the two partitions share the votes evenly, and a region has half of them give or take a few pixels:
-    # a limit of just one half would drop arcs by chance
-    min_support: Annotated[
-        float, Field(ge=0.0, le=1.0, description="least share of a region's pixels that vote for it")
-    ] = 0.45
-    min_length_px: Annotated[float, Field(ge=1.0, le=200.0, description="least length of a line-support region")] = 6.0
 
 
 @dataclass(frozen=True, kw_only=True, config=_CONFIG)

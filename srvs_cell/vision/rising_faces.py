@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, inclined_faces
+from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, inclined_faces, same_place
 from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
 
 if TYPE_CHECKING:
@@ -40,13 +40,15 @@ _MIN_SOLIDITY = 0.85
 _MOST_OF_OUTLINE = 1.5
 """A plane that covers more than this much of the outline it lies in is the table."""
 _BEST_OF_KIND = 8
+_LOST_PX = 1.0
+"""So far off is a border that is not there."""
 _START_SLOPE = 0.36
 _LEAST_INCLINATION_DEG = 5.0
 _GENTLE_SLOPE = 0.2
 _CORNERS = 3
 _CANDIDATES = 8
 _SAME_MM = 4.0
-"""Fits whose centres are nearer to each other than this came to one place."""
+"""Fits whose centres and sizes differ by less came to one place."""
 _UP = np.array([0.0, 0.0, 1.0])
 _INCLINED_GAIN = 0.7
 """An inclined face has one parameter more: it must fit better by this factor."""
@@ -91,24 +93,21 @@ def fit_rising(
         level = min((fit for fit in fits if fit.face.slope_u == 0.0), key=_misfit, default=None)
         inclined = min((fit for fit in fits if _is_inclined(fit)), key=_misfit, default=None)
         best = _better_inclined(level, inclined, pictures, rig, table_z_mm, possible)
-        found += _different([best, *sorted(fits, key=_misfit)] if best is not None else [])
+        if best is not None:
+            ranked = [best, *sorted(fits, key=_misfit)]
+            found += [ranked[number] for number in different(ranked, _CANDIDATES)]
     return found
 
 
-def _different(fits: list[FaceFit]) -> list[FaceFit]:
-    """Return the first few fits that are not of the same figure at the same place."""
-    kept: list[FaceFit] = []
-    for fit in fits:
-        if len(kept) == _CANDIDATES:
+def different(fits: Sequence[FaceFit], most: int | None = None) -> list[int]:
+    """Return the numbers of the first fits, as many as asked, that are not of an earlier one's figure and place."""
+    kept: list[int] = []
+    for number, fit in enumerate(fits):
+        if len(kept) == most:
             break
-        same = (one.face for one in kept if one.face.figure is fit.face.figure)
-        if all(_apart_mm(fit.face, face) > _SAME_MM for face in same):
-            kept.append(fit)
+        if not any(same_place(fit.face, fits[one].face, _SAME_MM) for one in kept):
+            kept.append(number)
     return kept
-
-
-def _apart_mm(face: Face, other: Face) -> float:
-    return float(np.linalg.norm([face.x_mm - other.x_mm, face.y_mm - other.y_mm, face.z_mm - other.z_mm]))
 
 
 def _better_inclined(
@@ -141,7 +140,8 @@ def _better_inclined(
 
 
 def _misfit(fit: FaceFit) -> float:
-    return fit.rms_px
+    """Return what a fit leaves unexplained: border that is displaced, and border that is not there."""
+    return fit.rms_px**2 + (1.0 - fit.support) * _LOST_PX**2
 
 
 def _is_inclined(fit: FaceFit) -> bool:
@@ -149,7 +149,10 @@ def _is_inclined(fit: FaceFit) -> bool:
 
 
 def _fits_of(
-    seeds: list[list[tuple[float, Array]]], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
+    seeds: list[list[tuple[float, Array]]],
+    pictures: Pictures,
+    rig: RectifiedRig,
+    table_z_mm: float,
 ) -> list[FaceFit]:
     """Return the fits that seeds lead to: each figure is scouted at each height, the promising ones are fitted."""
     starts = [
@@ -229,7 +232,7 @@ def _promising(scouted: list[FaceFit]) -> list[FaceFit]:
     kept: dict[tuple[Figure, bool], list[FaceFit]] = {}
     for fit in scouted:
         alike = kept.setdefault((fit.face.figure, fit.face.slope_u != 0.0), [])
-        if len(alike) < _BEST_OF_KIND and all(_apart_mm(fit.face, one.face) > _SAME_MM for one in alike):
+        if len(alike) < _BEST_OF_KIND and not any(same_place(fit.face, one.face, _SAME_MM) for one in alike):
             alike.append(fit)
     return [fit for alike in kept.values() for fit in alike]
 

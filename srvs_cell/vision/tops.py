@@ -39,6 +39,8 @@ _STEEP_TILT_DEG = 30.0
 _STEEP_SHARE = 0.15
 """A steep surface that only touches a part is its side face with shadow."""
 _TOP_MARGIN_MM = 5.0
+_MOST_OF_FACE = 0.7
+_PRINT_MARGIN_MM = 1.0
 _LEAST_RISING = 0.3
 """Share of a face's outline that rises at least: all but the sides along the base line."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -108,6 +110,15 @@ def share_place(fit: FaceFit, other: FaceFit) -> bool:
     outline, standing = (one.face.corners_mm()[:, :2].astype(np.float32) for one in (fit, other))
     shared_mm2, _ = cv2.intersectConvexConvex(outline, standing)
     return bool(shared_mm2 > _SHARED_PLACE * min(cv2.contourArea(outline), cv2.contourArea(standing)))
+
+
+def is_print(fit: FaceFit, other: FaceFit) -> bool:
+    """Whether a face is something printed on another one: it lies in its plane, and is clearly smaller."""
+    face, larger = fit.face, other.face
+    if face.length_mm * face.width_mm > _MOST_OF_FACE * larger.length_mm * larger.width_mm:
+        return False
+    inside = _share_inside(face.corners_mm()[:, :2], larger.corners_mm()[:, :2], _PRINT_MARGIN_MM)
+    return inside == 1.0 and abs(larger.height_at_mm(face.x_mm, face.y_mm) - face.z_mm) < _TOP_MARGIN_MM
 
 
 def share_out(

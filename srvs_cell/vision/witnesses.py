@@ -150,7 +150,7 @@ class Bench:
 
     def _witnesses(self, fits: Sequence[FaceFit]) -> list[Witnesses | None]:
         faces = [fit.face for fit in fits]
-        inclined = [face.slope_u != 0.0 for face in faces]
+        inclined = [_is_sloped(face) for face in faces]
         seen = fit_profiles(faces, inclined, self.pictures, self.rig, self.table_z_mm)
         there = {
             number: (edges, fit)
@@ -167,8 +167,28 @@ class Bench:
 
     def by_edges(self, faces: Sequence[Face]) -> list[FaceFit | None]:
         """Fit faces to the edges; None where they have none."""
-        inclined = [face.slope_u != 0.0 for face in faces]
+        inclined = [_is_sloped(face) for face in faces]
         return fit_faces(faces, inclined, self.fields, self.rig, SETTLE, self.min_gradient)
+
+    def from_lines(self, faces: Sequence[Face], max_rms_px: float) -> list[Witnesses]:
+        """Fit faces that lines span to the edges and to the grey values; those that suit both, the best first.
+
+        Both begin at the lines; where that leads the grey values to no possible face, they begin where the edges led.
+        """
+        fitted = [
+            (face, fit)
+            for face, fit in zip(faces, self.by_edges(faces), strict=True)
+            if fit is not None and fit.rms_px <= max_rms_px
+        ]
+        starts = [face for face, _ in fitted]
+        seen = fit_profiles(starts, [_is_sloped(face) for face in starts], self.pictures, self.rig, self.table_z_mm)
+        there = [
+            (edges, fit) for (_, edges), fit in zip(fitted, seen, strict=True) if fit is not None and self.possible(fit)
+        ]
+        known = {id(edges) for edges, _ in there}
+        others = self.by_profiles([edges for _, edges in fitted if id(edges) not in known])
+        found = self.together(there) + [both for both in others if both is not None]
+        return sorted(found, key=lambda both: both.misfit_px2)
 
     def settled(self, known: Sequence[Witnesses]) -> list[Witnesses]:
         """Return faces as they are, or as another rectangle that suits the pictures clearly better."""
@@ -204,6 +224,10 @@ class Bench:
             twin = min(twins, key=lambda one: one.misfit_px2, default=None)
             best[number] = replace(best[number], twin=twin)
         return improved
+
+
+def _is_sloped(face: Face) -> bool:
+    return face.slope_u != 0.0
 
 
 def _centre(face: Face) -> Array:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray  # noqa: TC002 - read by people and mypy
 
-from srvs_cell.vision.edges import extract_edges, gradient_2x2, strong_gradient
-from srvs_cell.vision.parameters import EdgeParameters
+from srvs_cell.vision.edges import EdgeParameters, extract_edges, gradient_2x2, strong_gradient
 
 
 def step_image(angle_deg: float, size: int = 64, contrast: float = 80.0) -> NDArray[np.uint8]:

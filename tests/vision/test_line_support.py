@@ -8,9 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray  # noqa: TC002 - read by people and mypy
 
-from srvs_cell.vision.edges import extract_edges
+from srvs_cell.vision.edges import EdgeParameters, extract_edges
 from srvs_cell.vision.line_support import LineImage, LineParameters, extract_lines, voted_regions
-from srvs_cell.vision.parameters import EdgeParameters
 from tests.vision.pictures import render, square
 
 EDGES = EdgeParameters()

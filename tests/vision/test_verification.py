@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -27,7 +28,8 @@ BOX = cuboid(490.0, 80.0, 40.0, 20.0, (60.0, 40.0), 180)
 SHADOW = cuboid(520.0, 0.0, 0.0, 40.0, (50.0, 40.0), 70)
 
 
-LABEL = cuboid(490.0, 80.0, 40.0, 20.0, (22.0, 18.0), 70)
+# print has no side faces
+LABEL = replace(cuboid(490.0, 80.0, 40.0, 20.0, (22.0, 18.0), 70), side_grey=180)
 
 
 def verified(parts: list[Part], tops: list[Top]) -> tuple[list[Top], list[Array]]:
@@ -83,3 +85,14 @@ def test_what_rises_and_is_no_figure_comes_out_as_unknown() -> None:
     unknown = next(workpiece for workpiece in found if workpiece.kind == UNKNOWN_KIND)
     assert np.hypot(unknown.position_mm[0] - 500.0, unknown.position_mm[1] - 50.0) < 30.0
     assert unknown.grasp is None
+
+
+def test_a_top_of_its_shadow_s_grey_is_found_by_two_of_its_borders() -> None:
+    # the shadow lies beside one of the top's sides: no region has the top's outline, and what rises tells too little
+    dark = cuboid(540.0, 130.0, 80.0, 20.0, (60.0, 44.0), 60)
+    shadow = cuboid(575.0, 130.0, 0.0, 20.0, (80.0, 44.0), 60)
+    standing, unseen = verified([shadow, dark], [])
+    (face,) = [one.fit.face for one in standing]
+    assert (face.x_mm, face.y_mm, face.z_mm) == pytest.approx((540.0, 130.0, TABLE_Z_MM + 80.0), abs=0.5)
+    assert sorted((face.length_mm, face.width_mm)) == pytest.approx([44.0, 60.0], abs=0.5)
+    assert unseen == []
