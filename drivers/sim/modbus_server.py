@@ -133,7 +133,7 @@ class ModbusServer:
             return bytes([function | _EXCEPTION_FLAG, _DEVICE_FAILURE])
         try:
             return bytes([function]) + self._carry_out(function, pdu[1:])
-        except NotImplementedError:
+        except _IllegalFunctionError:
             return bytes([function | _EXCEPTION_FLAG, _ILLEGAL_FUNCTION])
         except IndexError:
             return bytes([function | _EXCEPTION_FLAG, _ILLEGAL_ADDRESS])
@@ -141,7 +141,7 @@ class ModbusServer:
             return bytes([function | _EXCEPTION_FLAG, _ILLEGAL_VALUE])
 
     def _carry_out(self, function: int, data: bytes) -> bytes:
-        """Return the answer's data; raises NotImplementedError, IndexError or ValueError as `_answer` expects."""
+        """Return the answer's data; raises what `_answer` tells as exception 1, 2 or 3."""
         device = self._device
         if function in {_WRITE_COIL, _WRITE_WORD}:
             address, value = struct.unpack(">HH", data)
@@ -153,7 +153,7 @@ class ModbusServer:
                 raise ValueError(value)
             return data
         if function not in _MOST:
-            raise NotImplementedError
+            raise _IllegalFunctionError(function)
         address, count = struct.unpack(">HH", data[:4])
         if not 0 < count <= _MOST[function]:
             raise ValueError(count)
@@ -174,6 +174,10 @@ class ModbusServer:
         bits = device.read_coils(address, count) if function == _READ_COILS else device.read_inputs(address, count)
         packed = sum(bit << i for i, bit in enumerate(bits)).to_bytes((count + 7) // 8, "little")
         return bytes([len(packed)]) + packed
+
+
+class _IllegalFunctionError(Exception):
+    """The server does not have this function."""
 
 
 def _receive(connection: socket.socket, count: int) -> bytes:

@@ -40,7 +40,7 @@ _MIN_SOLIDITY = 0.85
 _MOST_OF_OUTLINE = 1.5
 """A plane that covers more than this much of the outline it lies in is the table."""
 _BEST_OF_KIND = 8
-_LOST_PX = 1.0
+_ABSENT_PX = 1.0
 """So far off is a border that is not there."""
 _START_SLOPE = 0.36
 _LEAST_INCLINATION_DEG = 5.0
@@ -141,7 +141,7 @@ def _better_inclined(
 
 def _misfit(fit: FaceFit) -> float:
     """Return what a fit leaves unexplained: border that is displaced, and border that is not there."""
-    return fit.rms_px**2 + (1.0 - fit.support) * _LOST_PX**2
+    return fit.rms_px**2 + (1.0 - fit.support) * _ABSENT_PX**2
 
 
 def _is_inclined(fit: FaceFit) -> bool:
@@ -149,10 +149,7 @@ def _is_inclined(fit: FaceFit) -> bool:
 
 
 def _fits_of(
-    seeds: list[list[tuple[float, Array]]],
-    pictures: Pictures,
-    rig: RectifiedRig,
-    table_z_mm: float,
+    seeds: list[list[tuple[float, Array]]], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
 ) -> list[FaceFit]:
     """Return the fits that seeds lead to: each figure is scouted at each height, the promising ones are fitted."""
     starts = [

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _SQUARE_DEG = 8.0
 """Sides are parallel or square to each other within this."""
 _SAME_HEIGHT_MM = 5.0
+"""Sides of a level face, or those that meet at a corner, differ less in height."""
 _LEAST_SHARED = 0.4
 """Share of the shorter one of opposite borders that lies beside the other one."""
 _GAP_SHARE = 0.35
@@ -39,6 +40,7 @@ _COVERED = 0.4
 _SAME_MM = 2.0
 """Two lines of one border span the same face twice."""
 _MOST_FACES = 60
+"""Print has lines enough to span more: those of the longest borders are enough."""
 
 
 def spanned_faces(ledges: Ledges, outline_px: Array, rig: RectifiedRig) -> list[Face]:

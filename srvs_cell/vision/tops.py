@@ -40,6 +40,7 @@ _STEEP_SHARE = 0.15
 """A steep surface that only touches a part is its side face with shadow."""
 _TOP_MARGIN_MM = 5.0
 _MOST_OF_FACE = 0.7
+"""What has more of a face's area is another measurement of the face, not print on it."""
 _PRINT_MARGIN_MM = 1.0
 _LEAST_RISING = 0.3
 """Share of a face's outline that rises at least: all but the sides along the base line."""

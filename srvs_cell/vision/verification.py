@@ -181,9 +181,7 @@ def _new_tops(found: list[Witnesses], known: list[Top]) -> list[Top]:
     return [
         Top(fit, ())
         for fit in fits
-        if not any(
-            share_place(fit, top.fit) and (rank(top.fit) <= rank(fit) or is_print(fit, top.fit)) for top in known
-        )
+        if not any(share_place(fit, top.fit) and rank(top.fit) <= rank(fit) for top in known)
     ]
 
 

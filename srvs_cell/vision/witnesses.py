@@ -182,12 +182,13 @@ class Bench:
         ]
         starts = [face for face, _ in fitted]
         seen = fit_profiles(starts, [_is_sloped(face) for face in starts], self.pictures, self.rig, self.table_z_mm)
-        there = [
-            (edges, fit) for (_, edges), fit in zip(fitted, seen, strict=True) if fit is not None and self.possible(fit)
-        ]
-        known = {id(edges) for edges, _ in there}
-        others = self.by_profiles([edges for _, edges in fitted if id(edges) not in known])
-        found = self.together(there) + [both for both in others if both is not None]
+        there, lost = [], []
+        for (_, edges), fit in zip(fitted, seen, strict=True):
+            if fit is not None and self.possible(fit):
+                there.append((edges, fit))
+            else:
+                lost.append(edges)
+        found = self.together(there) + [both for both in self.by_profiles(lost) if both is not None]
         return sorted(found, key=lambda both: both.misfit_px2)
 
     def settled(self, known: Sequence[Witnesses]) -> list[Witnesses]:

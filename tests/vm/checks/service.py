@@ -171,6 +171,8 @@ class Service:
         except AssertionError:
             assert self._cell.status()["state"] == "Aborted", self._cell.status()["state"]
         self._cell.reaches({"Stopped", "Aborted"})
+        if self._cell.status()["state"] == "Aborted":
+            assert self._cell.alarms() == {"PAIR_INCONSISTENT"}, self._cell.alarms()
 
     def _looked_or_ended(self) -> bool:
         return self._pictures() or self._cell.status()["state"] in {"Aborted", "Held"}
