@@ -72,9 +72,17 @@ class EdgeImage:
     threshold: float
 
 
-def extract_edges(grey: NDArray[np.uint8], parameters: EdgeParameters) -> EdgeImage:
-    """Find the line-support regions of a grey image, uint8, shape (H, W)."""
-    gradient = gradient_2x2(smooth(grey, parameters.smoothing_px))
+def extract_edges(
+    grey: NDArray[np.uint8], parameters: EdgeParameters, smoothed: NDArray[np.float32] | None = None
+) -> EdgeImage:
+    """Find the line-support regions of an image.
+
+    Args:
+        grey: uint8, shape (H, W).
+        parameters: limits.
+        smoothed: the same image after the Gaussian, where it is at hand.
+    """
+    gradient = gradient_2x2(smooth(grey, parameters.smoothing_px) if smoothed is None else smoothed)
     magnitude = np.asarray(cv2.magnitude(*gradient), dtype=np.float32)
     threshold = strong_gradient(magnitude, parameters)
     strong = np.flatnonzero(magnitude > threshold)

@@ -27,7 +27,7 @@ from srvs_cell.vision.picture_check import check_different, check_pair, check_pi
 from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.recognition import recognise
 from srvs_cell.vision.rectification import rectify_pair, to_grey
-from srvs_cell.vision.refinement import GreyPair, refine_matches
+from srvs_cell.vision.refinement import SMOOTHING_PX, GreyPair, refine_matches
 from srvs_cell.vision.region_growing import grow_regions
 from srvs_cell.vision.relief import measure_relief
 from srvs_cell.vision.table_alignment import align_table
@@ -183,8 +183,8 @@ def perceive(
     if early is not None and _usable(early, rig, left_grey):
         left_planes = replace(early.image, grey=left_grey)
     else:
-        left_planes = _analyse(left_grey, parameters, valid_left, steps)
-    right_planes = _analyse(right_grey, parameters, valid_right, steps)
+        left_planes = _analyse(left_grey, parameters, valid_left, steps, smoothed.left)
+    right_planes = _analyse(right_grey, parameters, valid_right, steps, smoothed.right)
     seen, disparity_px, ambiguous = _match(
         left_planes, right_planes, smoothed, disparity_range, parameters, (valid_left, valid_right), steps
     )
@@ -242,8 +242,16 @@ def _size(image: Image) -> str:
     return f"{image.shape[1]} x {image.shape[0]}"
 
 
-def _analyse(grey: Image, parameters: VisionParameters, valid: Mask | None, steps: _Steps) -> PlaneImage:
-    edges = extract_edges(grey, parameters.edges).mask
+def _analyse(
+    grey: Image,
+    parameters: VisionParameters,
+    valid: Mask | None,
+    steps: _Steps,
+    smoothed: NDArray[np.float32] | None = None,
+) -> PlaneImage:
+    """Analyse as `analyse_image`; ``smoothed`` is the image as the alignment needs it, where that is at hand."""
+    shared = smoothed if parameters.edges.smoothing_px == SMOOTHING_PX else None
+    edges = extract_edges(grey, parameters.edges, shared).mask
     if valid is not None:
         edges &= valid
     steps.done("edges")

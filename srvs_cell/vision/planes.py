@@ -43,7 +43,7 @@ def measure_planes(
         Labels 1 to N of the N planes, and the planes.
     """
     runs = RowRuns.of(labels)
-    count = int(labels.max()) + 1
+    count = int(runs.label.max()) + 1
     length = runs.length
     area = np.bincount(runs.label, weights=length)
     safe_area = np.maximum(area, 1.0)
@@ -60,7 +60,7 @@ def measure_planes(
     np.maximum.at(long_cut, owner, radius)
     boxes = _boxes(runs, count)
     cut_off = np.zeros(count, dtype=np.bool_)
-    cut_off[labels[_frame(labels.shape, valid)]] = True
+    cut_off[labels.ravel()[_frame(labels.shape, valid)]] = True
     good = (
         (area >= parameters.min_area_px)
         & (4.0 * area >= parameters.min_thickness_px * perimeter)
@@ -103,18 +103,18 @@ class BorderWindows:
     @classmethod
     def of(cls, labels: NDArray[np.int32]) -> BorderWindows:
         """Find the windows of a label image, int32, shape (H, W)."""
-        framed = cv2.copyMakeBorder(labels, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(-1,))
+        framed = np.asarray(cv2.copyMakeBorder(labels, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(-1,)), dtype=np.int32)
         flat, width = framed.ravel(), framed.shape[1]
         # a window is mixed where its upper or lower two pixels differ, or its left ones
         across = flat[1:] != flat[:-1]
         mixed = flat[width:] != flat[:-width]
         mixed[:-1] |= across[:-width]
         mixed[:-1] |= across[width:]
-        first = np.flatnonzero(mixed[:-1])
-        row, column = np.divmod(first, width)
         # none begins in the last column
-        first, row, column = (each[column < width - 1] for each in (first, row, column))
-        return cls(row, column, [flat[first + step] for step in (0, 1, width + 1, width)])
+        mixed[width - 1 :: width] = False
+        first = np.flatnonzero(mixed)
+        row = first // width
+        return cls(row, first - row * width, [flat[first + step] for step in (0, 1, width + 1, width)])
 
     def perimeters(self, count: int) -> NDArray[np.float64]:
         """Return the length of each region's boundary, pixels, shape (count,).
@@ -130,7 +130,8 @@ class BorderWindows:
             opposite = crossed[number % 2].view(np.uint8)
             members = 1 + same[number].view(np.uint8) + same[number - 3].view(np.uint8) + opposite
             # what lies beyond the image is counted apart
-            total += np.bincount(corner + 1, weights=_SHARES[opposite, members], minlength=count + 1)
+            shares = _SHARES.ravel().take(_SHARES.shape[1] * opposite + members)
+            total += np.bincount(corner + 1, weights=shares, minlength=count + 1)
         return total[1:]
 
     def pixels(self) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.intp]]:
@@ -160,14 +161,11 @@ def _boxes(runs: RowRuns, count: int) -> list[tuple[int, int, int, int]]:
         np.maximum.at(high, runs.label, last)
         edges.append((low, high))
     (x0, x1), (y0, y1) = edges
-    return [
-        (int(left), int(top), int(right - left + 1), int(bottom - top + 1))
-        for left, right, top, bottom in zip(x0, x1, y0, y1, strict=True)
-    ]
+    return list(zip(x0.tolist(), y0.tolist(), (x1 - x0 + 1).tolist(), (y1 - y0 + 1).tolist(), strict=True))
 
 
-def _frame(shape: tuple[int, ...], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-    """Return the pixels at the border of the image or of its valid part."""
+def _frame(shape: tuple[int, ...], valid: NDArray[np.bool_] | None) -> NDArray[np.intp]:
+    """Return the numbers of the pixels at the border of the image or of its valid part."""
     usable = np.ones(shape, dtype=np.uint8) if valid is None else valid.view(np.uint8)
     inner = cv2.erode(usable, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return np.asarray((usable > 0) & (inner == 0))
+    return np.flatnonzero(np.asarray(cv2.subtract(usable, inner), dtype=np.uint8).view(np.bool_))

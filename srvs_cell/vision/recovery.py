@@ -122,7 +122,7 @@ def stable_regions(grey: NDArray[np.uint8], known: Callable[[NDArray[np.float32]
     for points, (x, y, width, height) in sorted(zip(points_of, boxes, strict=True), key=lambda one: -len(one[0])):
         if len(points) < _MIN_BOX_SHARE * width * height:
             continue
-        hull = cv2.convexHull(points)
+        hull = cv2.convexHull(_row_ends(points, y, height))
         if known(_STABLE_SCALE * hull.reshape(-1, 2).astype(np.float32)):
             continue
         if len(points) < _MIN_SOLIDITY * (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, closed=True)):
@@ -134,6 +134,16 @@ def stable_regions(grey: NDArray[np.uint8], known: Callable[[NDArray[np.float32]
         if not any(_same(region, other) for other in regions):
             regions.append(region)
     return regions
+
+
+def _row_ends(points: NDArray[np.int32], top: int, height: int) -> NDArray[np.int32]:
+    """Return the first and the last point of each row of a region, whose convex hull is the region's."""
+    row, x = points[:, 1] - top, points[:, 0]
+    first, last = np.full(height, np.iinfo(np.int32).max, dtype=np.int32), np.full(height, -1, dtype=np.int32)
+    np.minimum.at(first, row, x)
+    np.maximum.at(last, row, x)
+    y = np.arange(top, top + height, dtype=np.int32)
+    return np.column_stack([np.concatenate([first, last]), np.concatenate([y, y])])
 
 
 def rising_regions(outlines: Iterable[Array], explained: Iterable[Array], shape: tuple[int, ...]) -> list[Region]:

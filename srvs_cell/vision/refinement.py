@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from srvs_cell.scene import DisparityPlane, Plane, PlaneImage, PlaneMatch
     from srvs_cell.vision.parameters import RefinementParameters
 
-_SMOOTHING_PX = 1.0
+SMOOTHING_PX = 1.0
 _SLOPE_SIGMA = 0.05
 _NOISE_GREY = 1.0
 _TUKEY = 4.685
@@ -40,6 +40,8 @@ _CORRELATED_PIXELS = 12.0
 """Smoothing makes so many neighbouring pixels count as one."""
 _LEAST_SIGMA_PX = 0.02
 _CONVINCING = 0.97
+_LEVEL = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+"""The level among what is solved for."""
 _LEVEL_STEP_PX = 0.5
 _ROUGH_PIXELS = 500
 """So many pixels tell which of several starts is the best."""
@@ -59,9 +61,9 @@ class GreyPair:
     @classmethod
     def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> GreyPair:
         """Prepare two grey images, uint8, shape (H, W)."""
-        smoothed = smooth(left, _SMOOTHING_PX)
+        smoothed = smooth(left, SMOOTHING_PX)
         slope = cv2.filter2D(smoothed, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], dtype=np.float32))
-        return cls(smoothed, smooth(right, _SMOOTHING_PX), np.asarray(slope, dtype=np.float32))
+        return cls(smoothed, smooth(right, SMOOTHING_PX), np.asarray(slope, dtype=np.float32))
 
 
 @dataclass(frozen=True)
@@ -174,10 +176,10 @@ def _with_band(image: PlaneImage, plane: Plane, band_px: int) -> tuple[NDArray[n
     x, y, width, height = plane.box_px
     top, left = max(y - band_px, 0), max(x - band_px, 0)
     window = image.labels[top : y + height + band_px, left : x + width + band_px]
-    mask = (window == plane.id).astype(np.uint8)
+    mask = (window == plane.id).view(np.uint8)
     if band_px:
         mask = np.asarray(cv2.dilate(mask, np.ones((2 * band_px + 1, 2 * band_px + 1), np.uint8)), dtype=np.uint8)
-    rows, columns = np.nonzero(mask)
+    rows, columns = np.nonzero(mask.view(np.bool_))
     return rows + top, columns + left
 
 
@@ -208,13 +210,14 @@ def align_plane(
         return None
     stride = math.ceil(rows.size / parameters.max_pixels)
     rows, columns = rows[::stride], columns[::stride]
-    middle_x, middle_y = float(columns.mean()), float(rows.mean())
+    middle_x, middle_y = int(columns.sum()) / columns.size, int(rows.sum()) / rows.size
     a, b, c = start
     first_level = a * middle_x + b * middle_y + c
     design = np.ones((3, rows.size), dtype=np.float32)
     design[0], design[1] = columns - middle_x, rows - middle_y
     samples = _Samples.of(pair, rows, columns)
-    target, slope = pair.left[rows, columns], pair.left_x[rows, columns]
+    place = samples.row_start + columns
+    target, slope = pair.left.ravel().take(place), pair.left_x.ravel().take(place)
     # without contrast nothing but this holds the plane
     held = (_NOISE_GREY / _SLOPE_SIGMA) ** 2
     prior = np.array([held, held, (_NOISE_GREY / parameters.max_shift_px) ** 2, 1e-3, 1e-3])
@@ -260,8 +263,11 @@ def align_plane(
     if after > min(before, same_light):
         return None
     variance = float(weight @ np.square(residual) / max(weight.sum(), 1.0))
-    sigma = float(np.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * np.linalg.inv(normal)[2, 2]))
-    correlation, contrast = _correlation(target[inside], seen[inside])
+    _, _, of_level, _ = dgesv(normal, _LEVEL)
+    sigma = math.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * float(of_level[2]))
+    if not inside.all():
+        target, seen = target[inside], seen[inside]
+    correlation, contrast = _correlation(target, seen)
     a, b, level = (float(value) for value in solution[:3])
     return Alignment((a, b, level - a * middle_x - b * middle_y), max(sigma, _LEAST_SIGMA_PX), correlation, contrast)
 
@@ -315,7 +321,7 @@ def _tukey(residual: NDArray[np.float32], spread: NDArray[np.float32]) -> NDArra
 def _robust_cost(residual: NDArray[np.float32], spread: NDArray[np.float32], counted: NDArray[np.bool_]) -> float:
     """Return the sum of Tukey's bounded costs, each 0 to 1, of residuals in units of where they are bounded."""
     inlying = _tukey(residual, spread)
-    return float(np.sum(1.0 - inlying * inlying * inlying, where=counted))
+    return float((1.0 - inlying * inlying * inlying) @ counted.astype(np.float32))
 
 
 def _correlation(one: NDArray[np.float32], other: NDArray[np.float32]) -> tuple[float, float]:

@@ -79,8 +79,9 @@ def grow_between_edges(distance_px: NDArray[np.float32]) -> NDArray[np.int32]:
     labels = np.asarray(cv2.watershed(_in_order(_ON_EDGE - level), _cores(level)), dtype=np.int32)
     label, width = labels.ravel(), labels.shape[1]
     beside = np.array([[-width], [-1], [1], [width]])
-    row, column = np.divmod(np.flatnonzero(labels[1:-1, 1:-1] <= 0), width - 2)
-    between = (row + 1) * width + column + 1
+    inner = np.flatnonzero(labels[1:-1, 1:-1] <= 0)
+    # an inner row is two pixels shorter
+    between = inner + 2 * (inner // (width - 2)) + width + 1
     for _ in range(_FILLINGS):
         # what is between several regions is the highest one's
         label[between] = np.maximum(label[between + beside].max(axis=0), 0)
@@ -100,7 +101,8 @@ def _cores(level: NDArray[np.uint8]) -> NDArray[np.int32]:
     is_core = np.ones(count, dtype=np.bool_)
     is_core[0] = False
     is_core[label.ravel()[np.flatnonzero(beside_lost > 0)]] = False
-    return (np.cumsum(is_core, dtype=np.int32) * is_core).take(label)
+    # no number is too large: "clip" spares the look at them all
+    return (np.cumsum(is_core, dtype=np.int32) * is_core).take(label, mode="clip")
 
 
 def _in_order(turn: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -125,11 +127,11 @@ def join_regions(
     Returns:
         Labels with joined regions under one of their numbers.
     """
-    count = int(labels.max()) + 1
     runs = RowRuns.of(labels)
+    count = int(runs.label.max()) + 1
     area = np.bincount(runs.label, weights=runs.length, minlength=count)
     total = np.bincount(runs.label, weights=runs.sums(grey), minlength=count)
-    borders = _borders(labels, edges, count)
+    borders = _borders(labels, runs, edges)
     parent = list(range(count))
     neighbours: list[dict[int, tuple[int, int]]] = [{} for _ in range(count)]
     queue: list[tuple[float, int, int, int, int]] = []
@@ -171,14 +173,12 @@ def _root(parent: list[int], label: int) -> int:
     return label
 
 
-def _borders(labels: NDArray[np.int32], edges: NDArray[np.bool_], count: int) -> list[tuple[int, int, int, int]]:
+def _borders(labels: NDArray[np.int32], runs: RowRuns, edges: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
     """Return (region, region, length, length off the edges) of every common border, in pixel sides."""
-    near = np.asarray(cv2.dilate(edges.view(np.uint8), _NEAR_EDGE)).ravel()
-    flat, width = labels.ravel(), labels.shape[1]
+    near = np.asarray(cv2.dilate(edges.view(np.uint8), _NEAR_EDGE), dtype=np.uint8).ravel()
+    flat, width, count = labels.ravel(), labels.shape[1], int(runs.label.max()) + 1
     keys, opens = [], []
-    for step, differs in ((1, labels[:, 1:] != labels[:, :-1]), (width, labels[1:] != labels[:-1])):
-        row, column = np.divmod(np.flatnonzero(differs), differs.shape[1])
-        here = row * width + column
+    for step, here in ((1, runs.start[runs.first > 0] - 1), (width, np.flatnonzero(flat[width:] != flat[:-width]))):
         one, other = flat[here].astype(np.int64), flat[here + step].astype(np.int64)
         border = (one > 0) & (other > 0)
         keys.append((np.minimum(one, other) * count + np.maximum(one, other))[border])

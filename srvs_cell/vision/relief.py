@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from srvs_cell.vision.median import median
+from srvs_cell.vision.runs import joined, runs_of, touching_runs
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -67,13 +68,11 @@ class Relief:
     """What differs where the right image is laid over the left one by the table's plane.
 
     Attributes:
-        difference: left minus right, grey values, smoothed, float32, shape (H, W); 0 where one of them saw nothing.
-        rises: where the difference is neither noise nor a small displacement of the table's picture.
-        noise: standard deviation of the difference.
+        rises: where the difference is neither noise nor a small displacement of the table's picture, shape (H, W).
+        noise: standard deviation of the difference, grey values.
         valid: where both images saw.
     """
 
-    difference: NDArray[np.float32]
     rises: Mask
     noise: float
     valid: Mask
@@ -99,19 +98,20 @@ def measure_relief(
     )
     laid_right = cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)
     valid = np.asarray(cv2.bitwise_and(seen_left, laid_right), dtype=np.uint8).view(np.bool_)
-    difference = _as_float(cv2.subtract(left, laid))
+    difference = _as_float(cv2.subtract(left, laid, dst=laid))
     difference -= _vignetting(left, difference, valid)
     difference *= valid
     sampled = np.abs(difference[::_SPARSE, ::_SPARSE][valid[::_SPARSE, ::_SPARSE]])
     noise = max(_MAD * median(sampled), _LEAST_SPREAD) if sampled.size else 1.0
     # the energy that neither the noise nor a small displacement of the table's picture explains
-    energy: NDArray[np.float32] = np.square(difference)
+    energy: NDArray[np.float32] = np.square(difference, out=difference)
+    slope = np.empty_like(left)
     for order in ((1, 0), (0, 1)):
-        slope = _as_float(cv2.Sobel(left, cv2.CV_32F, *order, ksize=3, scale=_SLACK_PX / _SOBEL))
+        cv2.Sobel(left, cv2.CV_32F, *order, dst=slope, ksize=3, scale=_SLACK_PX / _SOBEL)
         energy -= np.square(slope, out=slope)
-    rises = _as_float(cv2.blur(energy, (_WINDOW_PX, _WINDOW_PX))) > _NOISE_FACTOR * noise**2
+    rises = _as_float(cv2.blur(energy, (_WINDOW_PX, _WINDOW_PX), dst=slope)) > _NOISE_FACTOR * noise**2
     rises &= valid
-    return Relief(difference, rises, noise, valid)
+    return Relief(rises, noise, valid)
 
 
 def _laid_by_table(
@@ -130,7 +130,8 @@ def _laid_by_table(
         seen_x, seen_y = seen_x - u, seen_y + v
     size = (_CELL_PX * across.size, _CELL_PX * down.size)
     map_x, map_y = (
-        _as_float(cv2.resize(_as_float(seen), size)[_CELL_PX:, _CELL_PX:][:height, :width]) for seen in (seen_x, seen_y)
+        np.asarray(cv2.resize(_as_float(seen), size), dtype=np.float32)[_CELL_PX:, _CELL_PX:][:height, :width]
+        for seen in (seen_x, seen_y)
     )
     return map_x, map_y
 
@@ -156,7 +157,7 @@ def _vignetting(left: NDArray[np.float32], difference: NDArray[np.float32], vali
         used = np.asarray(there & (misfit <= _CALM * max(median(misfit[used]), _LEAST_SPREAD)))
     height, width = left.shape
     lens = cv2.resize(_as_float((share @ places).reshape(rows, columns)), (width, height))
-    return _as_float(cv2.multiply(lens, left))
+    return _as_float(cv2.multiply(lens, left, dst=lens))
 
 
 def _as_float(values: ArrayLike) -> NDArray[np.float32]:
@@ -174,11 +175,15 @@ def unexplained(relief: Relief, explained: Iterable[Array]) -> NDArray[np.uint8]
 def rising_share(rising: NDArray[np.uint8], outline: NDArray[np.float32]) -> float:
     """Return how much of an outline, shape (N, 2), lies where something rises."""
     corners = np.rint(outline).astype(np.int32)
-    corner = np.maximum(corners.min(axis=0), 0)
-    window = rising[corner[1] : corners[:, 1].max() + 1, corner[0] : corners[:, 0].max() + 1]
+    left, top, width, height = cv2.boundingRect(corners)
+    left, top, right, bottom = max(left, 0), max(top, 0), max(left + width, 0), max(top + height, 0)
+    window = rising[top:bottom, left:right]
+    if not window.size:
+        return 0.0
     line = np.zeros(window.shape, dtype=np.uint8)
-    cv2.polylines(line, [corners - corner], isClosed=True, color=1)
-    return float(window[line > 0].mean()) if line.any() else 0.0
+    cv2.polylines(line, [corners - (left, top)], isClosed=True, color=1)
+    # where no pixel of the line lies in the image the mean is 0
+    return cv2.mean(window, line)[0]
 
 
 def risen(relief: Relief, explained: Iterable[Array]) -> list[int]:
@@ -208,43 +213,24 @@ def rising_outlines(relief: Relief, explained: Iterable[Array], min_area_px: int
     for polygon in explained:
         cv2.fillPoly(inside, [np.rint(polygon).astype(np.int32)], 1)
     beside = np.asarray(cv2.dilate(inside, np.ones((_SEAM_PX, _SEAM_PX), np.uint8)), dtype=np.uint8)
-    mask = np.asarray(relief.rises & (inside == 0), dtype=np.uint8)
-    joined = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_JOIN_PX, _JOIN_PX), np.uint8))
-    count, found, sizes, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
-    labels, boxes = np.asarray(found, dtype=np.int32), np.asarray(sizes, dtype=np.int32)
-    pieces = [
-        _Piece.of(labels, number, boxes[number])
-        for number in range(1, count)
-        if boxes[number][4] >= (min_area_px or _MIN_AREA_PX)
-    ]
-    pieces = [piece for piece in pieces if piece.outside(beside) >= _MIN_AREA_PX]
-    outlines = [piece.points for piece in pieces]
+    mask = cv2.bitwise_and(relief.rises.view(np.uint8), cv2.bitwise_not(inside))
+    closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_JOIN_PX, _JOIN_PX), np.uint8))
+    pieces = _pieces(np.asarray(closed, dtype=np.uint8), beside, min_area_px or _MIN_AREA_PX)
+    outlines = [piece.outline for piece in pieces]
     if min_area_px is None:
         outlines += [
-            np.concatenate([one.points, other.points]) for one, other in combinations(pieces, 2) if one.beside(other)
+            np.concatenate([one.outline, other.outline]) for one, other in combinations(pieces, 2) if one.beside(other)
         ]
-    hulls = [cv2.convexHull(points.astype(np.float32)) for points in outlines]
+    hulls = [cv2.convexHull(points) for points in outlines]
     return [hull.reshape(-1, 2).astype(np.float64) for hull in hulls if cv2.contourArea(hull) >= _MIN_OUTLINE_PX]
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """One connected piece of what rises: its pixels, and its box (left, top, right, bottom)."""
+    """One connected piece of what rises: the ends of its rows, shape (N, 2), and its box (left, top, right, bottom)."""
 
-    points: NDArray[np.int32]
+    outline: NDArray[np.float32]
     box: tuple[int, int, int, int]
-
-    @classmethod
-    def of(cls, labels: NDArray[np.int32], number: int, box: NDArray[np.int32]) -> _Piece:
-        """Take a component out of the labelled image."""
-        x, y, width, height, _ = (int(value) for value in box)
-        rows, columns = np.nonzero(labels[y : y + height, x : x + width] == number)
-        points = np.column_stack([columns + x, rows + y]).astype(np.int32)
-        return cls(points, (x, y, x + width, y + height))
-
-    def outside(self, mask: NDArray[np.uint8]) -> int:
-        """Return how many of the pixels lie outside of a mask."""
-        return int(np.count_nonzero(mask[self.points[:, 1], self.points[:, 0]] == 0))
 
     def beside(self, other: _Piece) -> bool:
         """Whether the two may be the left and the right border of one face."""
@@ -252,3 +238,34 @@ class _Piece:
         rows = max(self.box[3] - self.box[1], other.box[3] - other.box[1])
         apart = max(self.box[0], other.box[0]) - min(self.box[2], other.box[2])
         return shared >= _MIN_ROWS * rows and apart > 0
+
+
+def _pieces(rising: NDArray[np.uint8], beside: NDArray[np.uint8], min_area_px: int) -> list[_Piece]:
+    """Return the connected pieces of a mask that are large enough, and outside of another mask too.
+
+    Args:
+        rising: 1 where something rises, shape (H, W). It is little: its runs are looked at, not its pixels.
+        beside: 1 near what is explained, shape (H, W).
+        min_area_px: least number of a piece's pixels.
+    """
+    # a column that holds nothing parts the rows
+    framed, explained = (
+        np.asarray(cv2.copyMakeBorder(each, 0, 0, 0, 1, cv2.BORDER_CONSTANT, value=(0,)), dtype=np.uint8)
+        for each in (rising, beside)
+    )
+    pixels = np.flatnonzero(framed.view(np.bool_))
+    begin = runs_of(pixels, np.zeros(max(pixels.size - 1, 0), dtype=np.bool_))
+    length = np.diff(begin, append=pixels.size)
+    width = framed.shape[1]
+    first, last = pixels[begin], pixels[begin] + length - 1
+    root = joined(np.arange(begin.size), *touching_runs(first, last, width))
+    outside = np.add.reduceat(explained.ravel()[pixels] == 0, begin, dtype=np.intp)
+    area, seen = (np.bincount(root, weights=counts, minlength=begin.size) for counts in (length, outside))
+    pieces = []
+    for number in np.flatnonzero((area >= min_area_px) & (seen >= _MIN_AREA_PX)).tolist():
+        member = root == number
+        ends = np.concatenate([first[member], last[member]])
+        row, column = np.divmod(ends, width)
+        box = (int(column.min()), int(row.min()), int(column.max()) + 1, int(row.max()) + 1)
+        pieces.append(_Piece(np.column_stack([column, row]).astype(np.float32), box))
+    return pieces

@@ -32,13 +32,15 @@ class RowRuns:
     @classmethod
     def of(cls, labels: NDArray[np.int32]) -> RowRuns:
         """Find the runs of a label image, int32, shape (H, W)."""
-        width = labels.shape[1]
-        begins = np.ones(labels.shape, dtype=np.bool_)
-        np.not_equal(labels[:, 1:], labels[:, :-1], out=begins[:, 1:])
+        width, flat = labels.shape[1], labels.ravel()
+        begins = np.empty(flat.size, dtype=np.bool_)
+        np.not_equal(flat[1:], flat[:-1], out=begins[1:])
+        begins[::width] = True
         start = np.flatnonzero(begins)
-        row, first = np.divmod(start, width)
+        row = start // width
+        first = start - row * width
         length = np.diff(start, append=labels.size)
-        return cls(labels.ravel()[start].astype(np.intp), row, first, first + length - 1, start)
+        return cls(flat[start].astype(np.intp), row, first, first + length - 1, start)
 
     def sums(self, grey: NDArray[np.uint8]) -> NDArray[np.int32]:
         """Return the sum of the grey values of each run of an image of the same shape, uint8."""

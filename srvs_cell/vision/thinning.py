@@ -47,9 +47,9 @@ _FIRST, _SECOND = _tables()
 def thin(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the skeleton of a mask, bool, shape (H, W); connectedness is kept."""
     # a frame of one pixel makes every neighbour's index valid
-    image = np.pad(mask, 1)
-    width = image.shape[1]
-    codes = cv2.filter2D(image.view(np.uint8), cv2.CV_8U, _NEIGHBOUR_BITS, borderType=cv2.BORDER_CONSTANT)
+    framed = cv2.copyMakeBorder(mask.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,))
+    image, width = np.asarray(framed, dtype=np.uint8).view(np.bool_), framed.shape[1]
+    codes = cv2.filter2D(framed, cv2.CV_8U, _NEIGHBOUR_BITS, borderType=cv2.BORDER_CONSTANT)
     code = np.asarray(codes, dtype=np.uint8).ravel()
     left = np.flatnonzero(image)
     before = left.size + 1

@@ -50,8 +50,8 @@ def open_ends(edges: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.fl
         Ends as (row, column), shape (N, 2), and the unit direction in which each would go on, shape (N, 2).
     """
     # a frame of one pixel makes every neighbour's index valid
-    framed = np.pad(edges, 1)
-    width, edge = framed.shape[1], framed.ravel()
+    framed = cv2.copyMakeBorder(edges.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,))
+    width, edge = framed.shape[1], np.asarray(framed, dtype=np.uint8).view(np.bool_).ravel()
     beside = (_OFFSETS @ (width, 1))[:, None]
     pixels = np.flatnonzero(edge)
     ends = pixels[np.count_nonzero(edge[pixels + beside], axis=0) == 1]
@@ -86,7 +86,7 @@ def prolong(
     outside = (path < 0).any(axis=2) | (path[..., 0] >= height) | (path[..., 1] >= width)
     rows, columns = np.clip(path[..., 0], 0, height - 1), np.clip(path[..., 1], 0, width - 1)
     # a diagonal step may pass between two pixels of an edge, so that an edge beside the path is met too
-    thick = cv2.dilate(edges.view(np.uint8), np.ones((2, 2), np.uint8)) > 0
+    thick = np.asarray(cv2.dilate(edges.view(np.uint8), np.ones((2, 2), np.uint8)), dtype=np.uint8).view(np.bool_)
     met = thick[rows, columns] | outside
     met[:, : _FIRST_STEP - 1] = False
     meets = met.any(axis=1)

@@ -92,7 +92,7 @@ def test_a_face_whose_border_shows_in_two_pieces_is_enclosed_by_both_together() 
     shape = (200, 200)
     rises = np.zeros(shape, dtype=np.bool_)
     rises[60:120, 50:56] = rises[60:120, 130:136] = True
-    relief = Relief(np.zeros(shape, dtype=np.float32), rises, 0.5, np.ones(shape, dtype=np.bool_))
+    relief = Relief(rises, 0.5, np.ones(shape, dtype=np.bool_))
     boxes = [(tuple(outline.min(axis=0)), tuple(outline.max(axis=0))) for outline in rising_outlines(relief, [])]
     assert ((50.0, 60.0), (135.0, 119.0)) in boxes
     # pieces of something unknown are not taken together
@@ -118,7 +118,7 @@ def test_each_rising_pixel_counts_once() -> None:
     shape = (100, 100)
     rises = np.zeros(shape, dtype=np.bool_)
     rises[20:40, 30:60] = True
-    relief = Relief(np.zeros(shape, dtype=np.float32), rises, 0.5, np.ones(shape, dtype=np.bool_))
+    relief = Relief(rises, 0.5, np.ones(shape, dtype=np.bool_))
     left_half = np.array([[0.0, 0.0], [44.0, 0.0], [44.0, 99.0], [0.0, 99.0]])
     whole = np.array([[0.0, 0.0], [99.0, 0.0], [99.0, 99.0], [0.0, 99.0]])
     assert risen(relief, [left_half, whole]) == [300, 300]
