@@ -20,6 +20,7 @@ from srvs_cell.vision.interpolation import disparity_at
 from srvs_cell.vision.photometric import row_slope
 from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.refinement import align_plane
+from srvs_cell.vision.runs import RowRuns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -111,7 +112,8 @@ def group_surfaces(
     own = np.full((len(left.planes) + 1, 3), np.nan)
     for match in matches:
         own[match.left] = match.disparity_plane
-    inner = _inner_labels(left, np.isnan(own).any(axis=1))
+    outlines = _outlines(left.labels)
+    inner = _inner_labels(left, outlines, np.isnan(own).any(axis=1))
     region = inner.ravel()[pixels]
     samples = sample_regions(left, inner)
     owner = assign_regions(pair, samples, own, surfaces, limits)
@@ -123,7 +125,8 @@ def group_surfaces(
         if sigmas_px[k] > limits.max_step_px:
             # the picture does not tell where these regions lie: they cannot be taken for one surface's
             owner[owner == k] = -1
-    joined = _joined(left, right, matches, owner, list(zip(surfaces, sigmas_px, strict=True)), parameters, valid)
+    known_now = list(zip(surfaces, sigmas_px, strict=True))
+    joined = _joined(left, right, matches, (owner, known_now, outlines), parameters, valid)
     return replace(joined, surfaces=everything)
 
 
@@ -178,8 +181,9 @@ def assign_regions(
     at = np.array([cost(plane, 0.0) for plane in planes])
     best = np.argmin(at, axis=0)
     lowest = at[best, np.arange(count)]
-    matched = np.isfinite(own).all(axis=1)
-    as_good = lowest <= limits.distinctness * cost(np.nan_to_num(own)[region].T, 0.0) + _NOISE_GREY
+    matched = np.asarray(np.isfinite(own).all(axis=1))
+    own_to = matched[region]
+    as_good = lowest <= limits.distinctness * cost(own[region[own_to]].T, 0.0, own_to) + _NOISE_GREY
     # beside the surface, only the regions are looked at that have no plane of their own
     open_to = (~matched & (lowest < limits.max_cost))[region]
     nearest = planes[best[region[open_to]]].T
@@ -190,21 +194,23 @@ def assign_regions(
     return np.asarray(chosen)
 
 
-def _inner_labels(image: PlaneImage, unmatched: Mask) -> NDArray[np.int32]:
+def _inner_labels(image: PlaneImage, outlines: Mask, unmatched: Mask) -> NDArray[np.int32]:
     """Return the labels without the rim of those regions that keep most of their pixels without it.
 
     The edge around a large region without a match may be that of what stands before it, and speak for that one's plane.
 
     Args:
         image: the left image's planes.
+        outlines: the pixels beside another label.
         unmatched: which labels have no plane of their own, shape (labels,).
     """
-    labels, count = image.labels, len(image.planes) + 1
-    rim = cv2.dilate(_outlines(labels).view(np.uint8), np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)) > 0
-    on_rim = np.bincount(labels[rim], minlength=count)
+    near = cv2.dilate(outlines.view(np.uint8), np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8))
+    rim = np.flatnonzero(np.asarray(near, dtype=np.uint8).view(np.bool_))
+    inner = image.labels.copy()
+    label = inner.ravel()[rim]
     area = np.array([0.0, *[plane.area_px for plane in image.planes]])
-    inner = labels.copy()
-    inner[rim & (unmatched & (on_rim < _MOST_RIM * area))[labels]] = 0
+    left_out = unmatched & (np.bincount(label, minlength=area.size) < _MOST_RIM * area)
+    inner.ravel()[rim[left_out[label]]] = 0
     return inner
 
 
@@ -218,9 +224,9 @@ def sample_regions(
     # a lattice of irrational steps, modulo 1, leaves pixels out evenly along every direction
     across, down = (np.arange(size) * step for size, step in zip(labels.shape[::-1], _LATTICE, strict=True))
     place = np.add.outer(down.astype(np.uint16), across.astype(np.uint16))
-    kept = np.flatnonzero(place < limit.take(labels))
-    rows, columns = np.divmod(kept, labels.shape[1])
-    return labels.ravel()[kept].astype(np.intp), rows, columns
+    kept = np.flatnonzero(place < limit.take(labels, mode="clip"))
+    rows = kept // labels.shape[1]
+    return labels.ravel()[kept].astype(np.intp), rows, kept - rows * labels.shape[1]
 
 
 def _difference(
@@ -243,19 +249,28 @@ def _joined(
     left: PlaneImage,
     right: PlaneImage,
     matches: Sequence[PlaneMatch],
-    owner: NDArray[np.int_],
-    surfaces: Sequence[tuple[DisparityPlane, float]],
+    found: tuple[NDArray[np.int_], Sequence[tuple[DisparityPlane, float]], Mask],
     parameters: VisionParameters,
     valid: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None],
 ) -> Grouping:
-    """Give the joined regions of each surface one label in both images and measure all planes anew."""
+    """Give the joined regions of each surface one label in both images and measure all planes anew.
+
+    Args:
+        left: the left image's planes.
+        right: the right image's planes.
+        matches: their matches.
+        found: the surface of each region; the surfaces with their sigmas; the regions' outlines.
+        parameters: of the vision.
+        valid: pixels that belong to each image.
+    """
+    owner, surfaces, outlines = found
+    length = np.bincount(left.labels[outlines], minlength=len(left.planes) + 1)
     labels_left, labels_right = left.labels.copy(), right.labels.copy()
     offset = max(len(left.planes), len(right.planes)) + 1
     partner = {match.left: match for match in matches}
     joined: list[tuple[int, DisparityPlane, float, float]] = []
     apart = np.zeros(owner.size, dtype=np.bool_)
     apart[list(partner)] = True
-    outlines = _outlines(left.labels)
     # the far surfaces first, so that the near ones hide them in the right image
     order = sorted(range(len(surfaces)), key=lambda k: _level(left, surfaces[k][0]))
     for k in order:
@@ -264,7 +279,7 @@ def _joined(
             scores = [partner[region].score for region in regions.tolist() if region in partner]
             if not scores:
                 continue
-            chosen = _with_enclosed(left, regions, outlines, parameters.grouping.min_enclosure)
+            chosen = _with_enclosed(left, regions, (outlines, length), parameters.grouping.min_enclosure)
             # what has a plane of its own that explains it better is a part that stands on the surface, no print
             chosen[apart & (owner != k)] = False
             window = _window(left, np.flatnonzero(chosen))
@@ -324,17 +339,23 @@ def _neighbours_among(image: PlaneImage, member: NDArray[np.bool_]) -> list[NDAr
 
 
 def _with_enclosed(
-    image: PlaneImage, regions: NDArray[np.intp], outlines: NDArray[np.bool_], min_enclosure: float
+    image: PlaneImage, regions: NDArray[np.intp], outlined: tuple[Mask, NDArray[np.intp]], min_enclosure: float
 ) -> NDArray[np.bool_]:
-    """Return which planes are among the regions or enclosed by them, shape (planes + 1,)."""
-    count = len(image.planes) + 1
+    """Return which planes are among the regions or enclosed by them, shape (planes + 1,).
+
+    Args:
+        image: the image's planes.
+        regions: their ids.
+        outlined: the pixels beside another label, and how many of them each plane has.
+        min_enclosure: share of these that must lie beside the regions.
+    """
+    (outlines, length), count = outlined, len(image.planes) + 1
     chosen = np.zeros(count, dtype=np.bool_)
     chosen[regions] = True
     window = _window(image, regions)
     labels = image.labels[window]
     grown = cv2.dilate(chosen[labels].astype(np.uint8), _SQUARE) > 0
     touching = np.bincount(labels[outlines[window] & grown], minlength=count)
-    length = np.bincount(image.labels[outlines], minlength=count)
     enclosed = touching >= min_enclosure * np.maximum(length, 1)
     enclosed[0] = False
     return np.asarray(chosen | enclosed)
@@ -377,6 +398,7 @@ def _paint_shifted(
 
 def _renumbered(before: NDArray[np.int32], after: NDArray[np.int32]) -> dict[int, int]:
     """Return old label -> new label of the planes that were kept."""
-    new_of_old = np.zeros(int(before.max()) + 1, dtype=np.int32)
-    new_of_old[before] = after
+    runs = RowRuns.of(before)
+    new_of_old = np.zeros(int(runs.label.max()) + 1, dtype=np.int32)
+    new_of_old[runs.label] = after.ravel()[runs.start]
     return {int(old): int(new_of_old[old]) for old in np.flatnonzero(new_of_old)}

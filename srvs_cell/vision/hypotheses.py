@@ -116,12 +116,13 @@ def steepest_pixels(
         cell_px: side of a cell.
     """
     height, width = (length // cell_px for length in shape)
-    row, column = (place // cell_px for place in np.divmod(pixels, shape[1]))
-    steepest = np.full((shape[0] // cell_px + 1, shape[1] // cell_px + 1), -1, dtype=np.intp)
+    row = pixels // shape[1]
+    cell = row // cell_px * (width + 1) + (pixels - row * shape[1]) // cell_px
+    steepest = np.full((height + 1) * (width + 1), -1, dtype=np.intp)
     # the steepest of a cell is written last
     rising = np.argsort(np.minimum(np.abs(slope) * _FINE, _FINEST).astype(np.uint16), kind="stable")
-    steepest[row[rising], column[rising]] = pixels[rising]
-    return steepest[:height, :width]
+    steepest[cell[rising]] = pixels[rising]
+    return steepest.reshape(height + 1, width + 1)[:height, :width]
 
 
 def _coarse(cost: PhotometricCost, candidates: Sequence[Hypothesis]) -> NDArray[np.float32]:

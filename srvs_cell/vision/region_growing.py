@@ -34,6 +34,7 @@ _ON_EDGE = len(_LEVELS_PX) + 1
 """When an edge pixel is reached: after all that any circle reaches."""
 _FILLINGS = 3
 """The watershed leaves a pixel between regions; what such pixels shut in is a pixel or two wide."""
+_ROWS_AT_A_TIME = 32
 _NEAR_EDGE = np.ones((3, 3), np.uint8)
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
@@ -101,8 +102,12 @@ def _cores(level: NDArray[np.uint8]) -> NDArray[np.int32]:
     is_core = np.ones(count, dtype=np.bool_)
     is_core[0] = False
     is_core[label.ravel()[np.flatnonzero(beside_lost > 0)]] = False
-    # no number is too large: "clip" spares the look at them all
-    return (np.cumsum(is_core, dtype=np.int32) * is_core).take(label, mode="clip")
+    number = np.cumsum(is_core, dtype=np.int32) * is_core
+    # a few rows at a time, for what numpy makes of the labels takes more memory than they do
+    for top in range(0, len(label), _ROWS_AT_A_TIME):
+        rows = label[top : top + _ROWS_AT_A_TIME]
+        np.take(number, rows, out=rows, mode="clip")
+    return label
 
 
 def _in_order(turn: NDArray[np.uint8]) -> NDArray[np.uint8]:

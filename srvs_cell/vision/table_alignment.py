@@ -39,6 +39,8 @@ _TEXTURED_PX = 0.1
 _MOST = 0.5
 _SLACK_PX = (0.5, 0.25, 0.15, 0.15)
 """Displacement that a block may show and its residual may stem from, iteration by iteration."""
+_STILL_PX = 0.01
+"""Where the field moves by less the images need not be compared anew."""
 _LOOSE_SIGMA = 3.0
 _MEDIAN_CHI2 = 1.386
 """Median of chi squared with two degrees of freedom."""
@@ -90,9 +92,13 @@ def align_table(
     grid = _Grid.of(pair, table_z_mm)
     basis = np.stack(prior.basis(grid.x_px, grid.y_px, grid.disparity_px), axis=1)
     reference, used, rejected = prior, np.zeros(len(basis), dtype=np.bool_), 0.0
+    field = reference.expected_field
+    seen = grid.compared(basis @ field)
     for slack_px in _SLACK_PX:
-        field = reference.expected_field
-        now = grid.linearised(basis @ field, slack_px)
+        if np.abs(basis @ (reference.expected_field - field)).max() > _STILL_PX:
+            field = reference.expected_field
+            seen = grid.compared(basis @ field)
+        now = grid.linearised(seen, slack_px)
         used, rejected = now.usable, now.rejected
         if used.sum() < parameters.min_blocks:
             break
@@ -139,6 +145,19 @@ def _table_disparity(rig: RectifiedRig, table_z_mm: float, x_px: Array, y_px: Ar
     """Return the table's disparity at pixels of the left image."""
     a, b, c = rig.plane_disparity(_UP, table_z_mm)
     return a * x_px + b * y_px + c
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """What is left between the images, in B blocks.
+
+    Attributes:
+        energy: variance of the difference, shape (B,).
+        gradient: sums of its products with its derivatives by u and v, shape (B, 2).
+    """
+
+    energy: Array
+    gradient: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,17 +253,24 @@ class _Grid:
             _inverse(structure + _RIDGE * (1.0 + trace)[:, None, None] * np.eye(2)),
         )
 
-    def linearised(self, displaced_px: Array, slack_px: float) -> _Linearised:
+    def compared(self, displaced_px: Array) -> _Compared:
         """Compare the images, the right one displaced by a field (u, v) given at the blocks, shape (B, 2)."""
         u, v = (self._spread(field / _SCALE) for field in displaced_px.T)
-        warped = cv2.remap(self.right, self.map_x - u, self.map_y + v, cv2.INTER_CUBIC)
-        residual = _as_float(self.left - warped)
-        size = _BLOCK**2
+        np.subtract(self.map_x, u, out=u)
+        np.add(self.map_y, v, out=v)
+        residual = _as_float(cv2.remap(self.right, u, v, cv2.INTER_CUBIC))
+        np.subtract(self.left, residual, out=residual)
         mean = _means(residual, self.shape)
-        energy = _means(residual * residual, self.shape) - mean**2
+        by_itself, by_x, by_y = (
+            _means(np.multiply(residual, other, out=u), self.shape) for other in (residual, self.slope_x, self.slope_y)
+        )
         # residual = left - right(displaced): its derivative by u is -slope_x of the picture's content, by v slope_y
-        along = [-_means(residual * self.slope_x, self.shape), _means(residual * self.slope_y, self.shape)]
-        gradient = size * (np.stack(along, axis=1) - mean[:, None] * self.slope_mean)
+        along = np.stack([-by_x, by_y], axis=1)
+        return _Compared(by_itself - mean**2, _BLOCK**2 * (along - mean[:, None] * self.slope_mean))
+
+    def linearised(self, seen: _Compared, slack_px: float) -> _Linearised:
+        """Tell the blocks of the table, and their displacements."""
+        size, energy, gradient = _BLOCK**2, seen.energy, seen.gradient
         noise2 = median(energy[self.whole]) if self.whole.any() else 1.0
         trace = np.trace(self.structure, axis1=1, axis2=2)
         usable = self.whole & (energy <= _NOISE_FACTOR**2 * noise2 + slack_px**2 * trace / size)
