@@ -10,7 +10,6 @@ in no library, is reported as unknown with its surfaces.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import cv2
@@ -19,25 +18,25 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from srvs_cell.vision.brightness import face_brightness
-from srvs_cell.vision.face_fit import EdgeField
+from srvs_cell.vision.evidence import Evidence
 from srvs_cell.vision.grasping import GraspParameters
 from srvs_cell.vision.kind_matching import group_faces
 from srvs_cell.vision.kinds import BUILT_IN_KINDS
-from srvs_cell.vision.recovery import (
-    Region,
-    find_places,
-    rising_regions,
-    stable_regions,
-    unmatched_planes,
+from srvs_cell.vision.recovery import find_places, rising_regions, unmatched_planes
+from srvs_cell.vision.tops import (
+    add_tops,
+    explained_polygons,
+    on_tops,
+    one_per_place,
+    outline_px,
+    rising_test,
+    share_out,
 )
-from srvs_cell.vision.tops import Top, add_tops, explained_polygons, explainer, one_per_place, outline_px, share_out
 from srvs_cell.vision.verification import verify_tops
 from srvs_cell.vision.workpieces import make_workpiece, measure_face, unrecognised
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Iterable, Sequence
 
     from srvs_cell.calibration import TableReference
     from srvs_cell.geometry import Array
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from srvs_cell.vision.kinds import ObjectKind
     from srvs_cell.vision.rectification import RectifiedRig
     from srvs_cell.vision.relief import Relief
+    from srvs_cell.vision.tops import Top
 
 
 @checked_dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid"))
@@ -114,18 +114,24 @@ def recognise(
         Workpieces, the highest first; shapes that are in no library have the kind ``unknown``.
     """
     limits = parameters or RecognitionParameters()
-    images, fields = (left, right), (EdgeField.of(left.grey), EdgeField.of(right.grey))
+    evidence = Evidence.of(left, right, rig, table_z_mm, limits)
     matched = tuple(surfaces)
-    tops = _find_tops(matched, left, fields, rig, table_z_mm, limits, relief)
+    planes = unmatched_planes(left, {surface.id for surface in matched}) if limits.recover else []
+    tops: list[Top] = []
     unseen: list[Array] = []
     if relief is None:
+        add_tops(matched, tops, evidence)
+        seen = on_tops(tops, rig)
+        add_tops(find_places([plane for plane in planes if not seen(plane.outline_px)], evidence), tops, evidence)
         tops = one_per_place(tops)
     else:
-        tops, unseen = verify_tops(tops, relief, images, fields, rig, table_z_mm, limits)
+        rises = rising_test(tops, relief, rig, table_z_mm)
+        add_tops([surface for surface in matched if rises(outline_px(surface, rig))], tops, evidence)
+        tops, unseen = verify_tops(tops, planes, relief, evidence)
     tops, others = share_out(matched, tops, rig, table_z_mm)
     unknown = [surface for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
     explained = explained_polygons(tops, rig, table_z_mm)
-    unknown += _placed(rising_regions(unseen, explained, left.grey.shape), fields, rig, table_z_mm, limits)
+    unknown += find_places(rising_regions(unseen, explained, left.grey.shape), evidence)
     faces = [measure_face(top, left.grey, rig, reference) for top in tops]
     workpieces = [
         make_workpiece(group, faces, table_z_mm, limits.grasp)
@@ -136,51 +142,6 @@ def recognise(
     ]
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
-
-
-def _find_tops(
-    matched: tuple[Surface, ...],
-    left: PlaneImage,
-    fields: tuple[EdgeField, EdgeField],
-    rig: RectifiedRig,
-    table_z_mm: float,
-    limits: RecognitionParameters,
-    relief: Relief | None,
-) -> list[Top]:
-    """Return the top faces among matched planes, planes without a partner and stable regions, one after the other.
-
-    Each looks only where those before have left something unexplained.
-    """
-    tops: list[Top] = []
-    known = explainer(tops, rig, table_z_mm, relief)
-    if known is not None:
-        add_tops([one for one in matched if not known(outline_px(one, rig))], tops, fields, rig, table_z_mm, limits)
-    if not limits.recover:
-        return tops
-    planes = unmatched_planes(left, {surface.id for surface in matched})
-    for find in (partial(_unknown_planes, planes), partial(stable_regions, left.grey)):
-        known = explainer(tops, rig, table_z_mm, relief)
-        if known is None:
-            break
-        add_tops(_placed(find(known), fields, rig, table_z_mm, limits), tops, fields, rig, table_z_mm, limits)
-    return tops
-
-
-def _placed(
-    regions: list[Region],
-    fields: tuple[EdgeField, EdgeField],
-    rig: RectifiedRig,
-    table_z_mm: float,
-    limits: RecognitionParameters,
-) -> tuple[Surface, ...]:
-    """Return regions as surfaces, where the grey values give them a place that a part may have."""
-    heights_mm = (table_z_mm, table_z_mm + limits.max_height_mm)
-    smooth = (fields[0].smooth, fields[1].smooth)
-    return find_places(regions, smooth, rig, heights_mm, (limits.min_size_mm, limits.max_size_mm))
-
-
-def _unknown_planes(planes: list[Region], known: Callable[[NDArray[np.float32]], bool]) -> list[Region]:
-    return [region for region in planes if not known(region.outline_px)]
 
 
 def _plan_area_mm2(surface: Surface) -> float:

@@ -1,8 +1,7 @@
 """Step 9, beyond the paper: faces that have no matched plane.
 
 Texture, print, a sliver of side face or a weak edge can split or merge a plane; its partner then has other parameters,
-or there is no plane at all, and the paper's rule finds nothing. Two more sources of regions help: the planes of the
-left image without a partner, and its maximally stable regions (Matas et al. 2002), which need no closed edge. A region
+and the paper's rule finds nothing. A plane of the left image without a partner, or what rises and is no known figure,
 is looked for in the right image by its grey values: with a band around it it is moved along the row, and the disparity
 of the best correlation gives it a place. Recognition verifies it by its edges in both images.
 """
@@ -20,12 +19,13 @@ from srvs_cell.scene import PlaneMatch
 from srvs_cell.vision.lateral_stereo import mask_outline_px, place_surface
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Collection, Iterable
 
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage, Surface
+    from srvs_cell.vision.evidence import Evidence
     from srvs_cell.vision.rectification import RectifiedRig
 
 NO_PLANE = 0
@@ -40,21 +40,6 @@ _MIN_VARIANCE = 1e-6
 _MARGIN_PX = 3.0
 _SIGMA_PX = 0.5
 _UP = np.array([0.0, 0.0, 1.0])
-_SMOOTHING_PX = 1.5
-_BLACK = 4.0
-"""Grey value below which contrast is noise: keeps the logarithm from blowing it up."""
-_WHITE = 255.0
-_MIN_SPAN = 1e-3
-_STABLE_SCALE = 2
-"""The image is halved: the region is only a start, its edges are measured afterwards."""
-_STABLE_STEP = 2
-_STABLE_VARIATION = 0.3
-_STABLE_DIVERSITY = 0.15
-_MIN_AREA_PX = 150
-_MIN_SOLIDITY = 0.88
-_MIN_BOX_SHARE = 0.4
-"""Less of its bounding box than this nothing fills that is solid: a convex figure fills half."""
-_SAME_OVERLAP = 0.85
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,57 +80,6 @@ def unmatched_planes(left: PlaneImage, matched: Collection[int]) -> list[Region]
     return regions
 
 
-def stable_regions(grey: NDArray[np.uint8], known: Callable[[NDArray[np.float32]], bool]) -> list[Region]:
-    """Return maximally stable regions that are solid enough for a face, large before small, each kind once.
-
-    Args:
-        grey: the image.
-        known: whether a region with this outline needs no look.
-
-    They are taken from the logarithm of the grey values: a dark face on a dark table has the same contrast then as a
-    bright one on a bright table.
-    """
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_PX)[::_STABLE_SCALE, ::_STABLE_SCALE]
-    levels = np.log(smooth + _BLACK)
-    span = max(float(np.ptp(levels)), _MIN_SPAN)
-    scaled = np.rint((levels - levels.min()) * (_WHITE / span)).astype(np.uint8)
-    detector = cv2.MSER.create(
-        delta=_STABLE_STEP,
-        min_area=_MIN_AREA_PX // _STABLE_SCALE**2,
-        max_area=scaled.size // 4,
-        max_variation=_STABLE_VARIATION,
-        min_diversity=_STABLE_DIVERSITY,
-    )
-    pixels, boxes = detector.detectRegions(scaled)
-    points_of = [np.asarray(points, dtype=np.int32) for points in pixels]
-    regions: list[Region] = []
-    for points, (x, y, width, height) in sorted(zip(points_of, boxes, strict=True), key=lambda one: -len(one[0])):
-        if len(points) < _MIN_BOX_SHARE * width * height:
-            continue
-        hull = cv2.convexHull(_row_ends(points, y, height))
-        if known(_STABLE_SCALE * hull.reshape(-1, 2).astype(np.float32)):
-            continue
-        if len(points) < _MIN_SOLIDITY * (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, closed=True)):
-            continue
-        mask = np.zeros((height, width), dtype=np.bool_)
-        mask[points[:, 1] - y, points[:, 0] - x] = True
-        whole = mask.repeat(_STABLE_SCALE, axis=0).repeat(_STABLE_SCALE, axis=1)
-        region = Region(NO_PLANE, whole, (_STABLE_SCALE * int(x), _STABLE_SCALE * int(y)))
-        if not any(_same(region, other) for other in regions):
-            regions.append(region)
-    return regions
-
-
-def _row_ends(points: NDArray[np.int32], top: int, height: int) -> NDArray[np.int32]:
-    """Return the first and the last point of each row of a region, whose convex hull is the region's."""
-    row, x = points[:, 1] - top, points[:, 0]
-    first, last = np.full(height, np.iinfo(np.int32).max, dtype=np.int32), np.full(height, -1, dtype=np.int32)
-    np.minimum.at(first, row, x)
-    np.maximum.at(last, row, x)
-    y = np.arange(top, top + height, dtype=np.int32)
-    return np.column_stack([np.concatenate([first, last]), np.concatenate([y, y])])
-
-
 def rising_regions(outlines: Iterable[Array], explained: Iterable[Array], shape: tuple[int, ...]) -> list[Region]:
     """Return regions inside convex outlines in an image of a shape (height, width), without what is explained.
 
@@ -171,27 +105,19 @@ def rising_regions(outlines: Iterable[Array], explained: Iterable[Array], shape:
     return regions
 
 
-def find_places(
-    regions: Iterable[Region],
-    smooth: tuple[NDArray[np.float32], NDArray[np.float32]],
-    rig: RectifiedRig,
-    height_range_mm: tuple[float, float],
-    size_range_mm: tuple[float, float],
-) -> tuple[Surface, ...]:
-    """Give regions a place in the base frame by their grey values.
-
-    Args:
-        regions: of the left image.
-        smooth: rectified left and right image, smoothed, float32, shape (H, W).
-        rig: the rectified cameras.
-        height_range_mm: least and greatest height of a face in the base frame: table and highest part.
-        size_range_mm: least and greatest extent of a face.
+def find_places(regions: Iterable[Region], evidence: Evidence) -> tuple[Surface, ...]:
+    """Give regions of the left image a place in the base frame by their grey values.
 
     Returns:
-        Surfaces, taken as level, without systematic errors; their match has `NO_PLANE` on the right.
+        Surfaces, taken as level, without systematic errors, that are as large and as high as a part may be; their match
+        has `NO_PLANE` on the right.
     """
     surfaces = []
-    low, high = (np.array(rig.plane_disparity(_UP, z_mm)) for z_mm in height_range_mm)
+    rig, limits = evidence.rig, evidence.limits
+    smooth = (evidence.fields[0].smooth, evidence.fields[1].smooth)
+    size_range_mm = (limits.min_size_mm, limits.max_size_mm)
+    heights_mm = (evidence.table_z_mm, evidence.table_z_mm + limits.max_height_mm)
+    low, high = (np.array(rig.plane_disparity(_UP, z_mm)) for z_mm in heights_mm)
     for region in regions:
         centre = region.centre_px
         least, most = (float(plane @ (*centre, 1.0)) for plane in (low, high))
@@ -207,21 +133,6 @@ def find_places(
         if surface is not None:
             surfaces.append(surface)
     return tuple(surfaces)
-
-
-def _same(region: Region, other: Region) -> bool:
-    """Whether two regions overlap so much that they are hypotheses of the same face."""
-    (x, y), (other_x, other_y) = region.corner_px, other.corner_px
-    (height, width), (other_height, other_width) = region.mask.shape, other.mask.shape
-    left, right = max(x, other_x), min(x + width, other_x + other_width)
-    top, bottom = max(y, other_y), min(y + height, other_y + other_height)
-    if right <= left or bottom <= top:
-        return False
-    both = (
-        region.mask[top - y : bottom - y, left - x : right - x]
-        & other.mask[top - other_y : bottom - other_y, left - other_x : right - other_x]
-    ).sum()
-    return bool(both > _SAME_OVERLAP * (region.mask.sum() + other.mask.sum() - both))
 
 
 def _possible(region: Region, rig: RectifiedRig, disparity_px: float, size_range_mm: tuple[float, float]) -> bool:

@@ -16,16 +16,17 @@ from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, inclined_faces, 
 from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage
+    from srvs_cell.vision.evidence import Evidence
     from srvs_cell.vision.face_fit import FaceFit
     from srvs_cell.vision.profile_fit import Effort
-    from srvs_cell.vision.profiles import Pictures
     from srvs_cell.vision.rectification import RectifiedRig
+    from srvs_cell.vision.witnesses import Bench
 
 _HEIGHTS = 8
 _INCLINED_STRIDE = 2
@@ -57,42 +58,31 @@ _STEEP_GAIN = 0.85
 """A slope that no noise explains need not improve the fit as much."""
 
 
-def fit_rising(
-    outlines: Iterable[Array],
-    left: PlaneImage,
-    pictures: Pictures,
-    rig: RectifiedRig,
-    heights_mm: tuple[float, float],
-    table_z_mm: float,
-    possible: Callable[[FaceFit], bool],
-) -> list[FaceFit]:
+def fit_rising(outlines: Iterable[Array], evidence: Evidence, bench: Bench) -> list[FaceFit]:
     """Return for each outline of what rises the few faces that explain the grey values best.
 
     Args:
         outlines: convex, in the left image, each of shape (N, 2); see `relief.rising_outlines`.
-        left: planes of the left image: one inside an outline may be the face.
-        pictures: the rectified images.
-        rig: the rectified cameras.
-        heights_mm: least and greatest height of a face over the table.
-        table_z_mm: height of the table, base frame.
-        possible: whether a fit may be a part's top face.
+        evidence: the images; a plane of the left one inside an outline may be the face.
+        bench: what faces are fitted to.
     """
     found = []
+    rig, table_z_mm, limits = evidence.rig, evidence.table_z_mm, evidence.limits
     # equal steps of parallax are equal steps of the image: 1 / distance, not height, is divided evenly
     camera_z_mm = float(rig.base_T_camera.translation_mm[2])
-    near, far = (1.0 / (camera_z_mm - table_z_mm - height) for height in heights_mm)
+    near, far = (1.0 / (camera_z_mm - table_z_mm - height) for height in (limits.min_height_mm, limits.max_height_mm))
     levels = camera_z_mm - 1.0 / np.linspace(near, far, _HEIGHTS)
     for outline in outlines:
         doubled = [(float(z_mm), _without_parallax(outline, rig, float(z_mm), table_z_mm)) for z_mm in levels]
         seeds = [[(z_mm, border) for z_mm, border in doubled if border is not None]]
         seeds += [
             [(float(z_mm), _laid(piece, rig, float(z_mm))) for z_mm in levels]
-            for piece in (*grey_pieces(pictures.images[0], outline), *_planes_inside(left, outline))
+            for piece in (*grey_pieces(bench.pictures.images[0], outline), *_planes_inside(evidence.left, outline))
         ]
-        fits = [fit for fit in _fits_of(seeds, pictures, rig, table_z_mm) if possible(fit)]
+        fits = [fit for fit in _fits_of(seeds, bench) if bench.possible(fit)]
         level = min((fit for fit in fits if fit.face.slope_u == 0.0), key=_misfit, default=None)
         inclined = min((fit for fit in fits if _is_inclined(fit)), key=_misfit, default=None)
-        best = _better_inclined(level, inclined, pictures, rig, table_z_mm, possible)
+        best = _better_inclined(level, inclined, bench)
         if best is not None:
             ranked = [best, *sorted(fits, key=_misfit)]
             found += [ranked[number] for number in different(ranked, _CANDIDATES)]
@@ -110,28 +100,18 @@ def different(fits: Sequence[FaceFit], most: int | None = None) -> list[int]:
     return kept
 
 
-def _better_inclined(
-    level: FaceFit | None,
-    inclined: FaceFit | None,
-    pictures: Pictures,
-    rig: RectifiedRig,
-    table_z_mm: float,
-    possible: Callable[[FaceFit], bool],
-) -> FaceFit | None:
+def _better_inclined(level: FaceFit | None, inclined: FaceFit | None, bench: Bench) -> FaceFit | None:
     """Return the level fit, or an inclined one that explains the picture clearly better.
 
     Args:
         level: the best level fit.
         inclined: the best inclined one so far; a level rectangle is tilted along each of its sides besides.
-        pictures: the rectified images.
-        rig: the rectified cameras.
-        table_z_mm: height of the table, base frame.
-        possible: whether a fit may be a part's top face.
+        bench: what faces are fitted to.
     """
     candidates = [] if inclined is None else [inclined]
     if level is not None and level.face.figure is Figure.RECTANGLE:
         tilted = inclined_faces(level.face, _GENTLE_SLOPE)
-        candidates += [fit for fit in _fitted(tilted, pictures, rig, table_z_mm, REACH) if possible(fit)]
+        candidates += [fit for fit in _fitted(tilted, bench, REACH) if bench.possible(fit)]
     steepest = min((fit for fit in candidates if _is_inclined(fit)), key=_misfit, default=None)
     if level is None or steepest is None:
         return level or steepest
@@ -148,9 +128,7 @@ def _is_inclined(fit: FaceFit) -> bool:
     return fit.face.inclination_deg >= _LEAST_INCLINATION_DEG
 
 
-def _fits_of(
-    seeds: list[list[tuple[float, Array]]], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
-) -> list[FaceFit]:
+def _fits_of(seeds: list[list[tuple[float, Array]]], bench: Bench) -> list[FaceFit]:
     """Return the fits that seeds lead to: each figure is scouted at each height, the promising ones are fitted."""
     starts = [
         face
@@ -159,8 +137,8 @@ def _fits_of(
         for face in inclined_faces(_rectangle(border, z_mm), _START_SLOPE)
     ]
     starts += [face for seed in seeds for z_mm, border in seed for face in _figures(border, z_mm)]
-    scouted = sorted(_fitted(starts, pictures, rig, table_z_mm, SCOUT), key=_misfit)
-    return _fitted([fit.face for fit in _promising(scouted)], pictures, rig, table_z_mm, REACH)
+    scouted = sorted(_fitted(starts, bench, SCOUT), key=_misfit)
+    return _fitted([fit.face for fit in _promising(scouted)], bench, REACH)
 
 
 def _planes_inside(left: PlaneImage, outline: Array) -> list[Array]:
@@ -234,11 +212,9 @@ def _promising(scouted: list[FaceFit]) -> list[FaceFit]:
     return [fit for alike in kept.values() for fit in alike]
 
 
-def _fitted(
-    starts: Sequence[Face], pictures: Pictures, rig: RectifiedRig, table_z_mm: float, effort: Effort
-) -> list[FaceFit]:
+def _fitted(starts: Sequence[Face], bench: Bench, effort: Effort) -> list[FaceFit]:
     inclined = [start.slope_u != 0.0 for start in starts]
-    fits = fit_profiles(starts, inclined, pictures, rig, table_z_mm, effort)
+    fits = fit_profiles(starts, inclined, bench.pictures, bench.rig, bench.table_z_mm, effort)
     return [fit for fit in fits if fit is not None]
 
 

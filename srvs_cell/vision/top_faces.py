@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.face_fit import MEASURE, SCOUT, SETTLE, EdgeField, FaceFit, fit_faces
+from srvs_cell.vision.face_fit import MEASURE, SCOUT, SETTLE, FaceFit, fit_faces
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
 from srvs_cell.vision.interpolation import disparity_at
 from srvs_cell.vision.recovery import NO_PLANE
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.geometry import Array
     from srvs_cell.scene import Surface
+    from srvs_cell.vision.evidence import Evidence
     from srvs_cell.vision.face_fit import Effort
     from srvs_cell.vision.recognition import RecognitionParameters
     from srvs_cell.vision.rectification import RectifiedRig
@@ -57,34 +58,29 @@ _BELOW_TABLE_MM = 3.0
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-def fit_tops(
-    surfaces: Sequence[Surface],
-    fields: tuple[EdgeField, EdgeField],
-    rig: RectifiedRig,
-    table_z_mm: float,
-    limits: RecognitionParameters,
-) -> list[FaceFit | None]:
+def fit_tops(surfaces: Sequence[Surface], evidence: Evidence) -> list[FaceFit | None]:
     """Return for each surface the best figure as a top face, or None where it is none.
 
     Every figure in every likely attitude is tried, all together: a few iterations leave the promising ones, these are
     settled, and the best one of each surface is measured.
     """
+    rig, limits, table_z_mm = evidence.rig, evidence.limits, evidence.table_z_mm
     starts = [
         _Start(number, face, inclined=inclined)
         for number, surface in enumerate(surfaces)
         if _may_be_top(surface, table_z_mm, limits)
         for face, inclined in (*_level_starts(surface, rig), *_inclined_starts(surface, rig))
     ]
-    scouted = _promising(_fitted(starts, fields, rig, SCOUT, limits), inclined=1)
-    settled = _fitted([start for start, _ in scouted], fields, rig, SETTLE, limits)
-    retried = _promising(_fitted(_retries(settled, surfaces), fields, rig, SCOUT, limits), inclined=_RETRIED_INCLINED)
-    settled += _fitted([start for start, _ in retried], fields, rig, SETTLE, limits)
+    scouted = _promising(_fitted(starts, evidence, SCOUT), inclined=1)
+    settled = _fitted([start for start, _ in scouted], evidence, SETTLE)
+    retried = _promising(_fitted(_retries(settled, surfaces), evidence, SCOUT), inclined=_RETRIED_INCLINED)
+    settled += _fitted([start for start, _ in retried], evidence, SETTLE)
     best: dict[int, _Start] = {}
     for number in range(len(surfaces)):
         chosen = _chosen([(start, fit) for start, fit in settled if start.number == number], surfaces[number], limits)
         if chosen is not None:
             best[number] = chosen
-    measured = _fitted(list(best.values()), fields, rig, MEASURE, limits)
+    measured = _fitted(list(best.values()), evidence, MEASURE)
     fits = {
         start.number: fit
         for start, fit in measured
@@ -108,17 +104,10 @@ class _Start:
     inclined: bool
 
 
-def _fitted(
-    starts: Sequence[_Start],
-    fields: tuple[EdgeField, EdgeField],
-    rig: RectifiedRig,
-    effort: Effort,
-    limits: RecognitionParameters,
-) -> list[tuple[_Start, FaceFit]]:
+def _fitted(starts: Sequence[_Start], evidence: Evidence, effort: Effort) -> list[tuple[_Start, FaceFit]]:
     """Fit figures; each that has a fit comes back with its fit as the next start."""
-    fits = fit_faces(
-        [start.face for start in starts], [start.inclined for start in starts], fields, rig, effort, limits.min_gradient
-    )
+    faces, inclined = [start.face for start in starts], [start.inclined for start in starts]
+    fits = fit_faces(faces, inclined, evidence.fields, evidence.rig, effort, evidence.limits.min_gradient)
     return [(replace(start, face=fit.face), fit) for start, fit in zip(starts, fits, strict=True) if fit is not None]
 
 

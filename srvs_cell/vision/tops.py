@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from srvs_cell.vision.recovery import NO_PLANE
-from srvs_cell.vision.relief import rising_outlines, rising_share, unexplained
+from srvs_cell.vision.relief import rising_share, unexplained
 from srvs_cell.vision.top_faces import SURE_RMS_PX, fit_tops, height_above_mm, tilt_deg
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from srvs_cell.geometry import Array
     from srvs_cell.scene import Surface
-    from srvs_cell.vision.face_fit import EdgeField, FaceFit
-    from srvs_cell.vision.recognition import RecognitionParameters
+    from srvs_cell.vision.evidence import Evidence
+    from srvs_cell.vision.face_fit import FaceFit
     from srvs_cell.vision.rectification import RectifiedRig
     from srvs_cell.vision.relief import Relief
 
@@ -64,16 +64,9 @@ class Top:
         return self if surface.id == NO_PLANE else replace(self, surfaces=(*self.surfaces, surface.id))
 
 
-def add_tops(
-    surfaces: Sequence[Surface],
-    tops: list[Top],
-    fields: tuple[EdgeField, EdgeField],
-    rig: RectifiedRig,
-    table_z_mm: float,
-    limits: RecognitionParameters,
-) -> None:
+def add_tops(surfaces: Sequence[Surface], tops: list[Top], evidence: Evidence) -> None:
     """Add the top faces among surfaces to those known, the surest and largest first."""
-    fits = fit_tops(surfaces, fields, rig, table_z_mm, limits)
+    fits = fit_tops(surfaces, evidence)
     found = [(surface, fit) for surface, fit in zip(surfaces, fits, strict=True) if fit is not None]
     found.sort(key=lambda one: rank(one[1]))
     for surface, fit in found:
@@ -216,25 +209,25 @@ def outline_px(surface: Surface, rig: RectifiedRig) -> NDArray[np.float32]:
     return _pictures(surface.outline_mm, rig)[0]
 
 
-def explainer(
-    tops: list[Top], rig: RectifiedRig, table_z_mm: float, relief: Relief | None
-) -> Callable[[NDArray[np.float32]], bool] | None:
-    """Return whether what is inside an outline of the left image, float32, shape (N, 2), needs no look, as a function.
+def rising_test(
+    tops: list[Top], relief: Relief, rig: RectifiedRig, table_z_mm: float
+) -> Callable[[NDArray[np.float32]], bool]:
+    """Return whether a good part of an outline rises that surely known tops do not explain, as a function.
 
-    With a relief: whether next to nothing of the outline rises that surely known tops do not explain; None where they
-    explain all that rises. Without: whether its middle lies on one of them.
+    Outlines are in the left image, float32, shape (N, 2).
     """
     sure = [top for top in tops if top.fit.rms_px <= SURE_RMS_PX]
-    if relief is not None:
-        explained = explained_polygons(sure, rig, table_z_mm)
-        if not rising_outlines(relief, explained):
-            return None
-        rising = unexplained(relief, explained)
-        return lambda outline: rising_share(rising, outline) < _LEAST_RISING
+    rising = unexplained(relief, explained_polygons(sure, rig, table_z_mm))
+    return lambda outline: rising_share(rising, outline) >= _LEAST_RISING
+
+
+def on_tops(tops: list[Top], rig: RectifiedRig) -> Callable[[NDArray[np.float32]], bool]:
+    """Return whether the middle of an outline, float32, shape (N, 2), lies on a surely known top, as a function."""
+    sure = [top for top in tops if top.fit.rms_px <= SURE_RMS_PX]
     polygons = [_pictures(top.fit.face.corners_mm(), rig)[0] for top in sure]
 
-    def known(outline: NDArray[np.float32]) -> bool:
+    def on_top(outline: NDArray[np.float32]) -> bool:
         x, y = outline.mean(axis=0)
         return any(cv2.pointPolygonTest(polygon, (float(x), float(y)), measureDist=False) > 0 for polygon in polygons)
 
-    return known
+    return on_top

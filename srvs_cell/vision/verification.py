@@ -7,6 +7,7 @@ The relief over the table knows what rises; the grey values across the borders k
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import cv2
@@ -15,22 +16,36 @@ import numpy as np
 from srvs_cell.vision.ledges import find_ledges, find_lines
 from srvs_cell.vision.profile_fit import measure_blur
 from srvs_cell.vision.profiles import Pictures
+from srvs_cell.vision.recovery import find_places
 from srvs_cell.vision.relief import risen, rising_outlines
 from srvs_cell.vision.rising_faces import different, fit_rising
 from srvs_cell.vision.spanned_faces import spanned_faces
-from srvs_cell.vision.top_faces import is_top
-from srvs_cell.vision.tops import CERTAIN_RMS_PX, Top, explained_polygons, is_print, one_per_place, rank, share_place
-from srvs_cell.vision.witnesses import Bench, Witnesses
+from srvs_cell.vision.top_faces import fit_tops, is_top
+from srvs_cell.vision.tops import (
+    CERTAIN_RMS_PX,
+    Top,
+    explained_polygons,
+    is_print,
+    one_per_place,
+    rank,
+    rising_test,
+    share_place,
+)
+from srvs_cell.vision.witnesses import Bench
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from srvs_cell.geometry import Array
-    from srvs_cell.scene import PlaneImage
-    from srvs_cell.vision.face_fit import EdgeField
+    from srvs_cell.vision.evidence import Evidence
     from srvs_cell.vision.faces import Face
     from srvs_cell.vision.ledges import Ledges
-    from srvs_cell.vision.recognition import RecognitionParameters
+    from srvs_cell.vision.recovery import Region
     from srvs_cell.vision.rectification import RectifiedRig
     from srvs_cell.vision.relief import Relief
+    from srvs_cell.vision.witnesses import Witnesses
+
+    Source = Callable[[list[Array], list[Top]], list[Witnesses]]
 
 _TRUSTED_RMS_PX = 0.5
 """A figure that fits worse does not explain what rises at its place."""
@@ -38,8 +53,6 @@ _SEAM_PX = 1.5
 """Where a face stands over the table, its outline leaves at least a seam of this width in the relief."""
 _UNSEEN_PX = 200
 """So many pixels of relief that no face explains are a part that was not recognised."""
-_ROUNDS = (False, True, True)
-"""Whether every figure is searched for: first ledges alone, then what is left, then what was hidden by that."""
 _SPANNED_SUPPORT = 0.55
 """Two borders in space are witnesses already: a face that they span may lack more of its outline than others."""
 _CONVINCING_PX2 = 0.6
@@ -49,35 +62,22 @@ _FOR_BLUR = 3
 
 
 def verify_tops(
-    tops: list[Top],
-    relief: Relief,
-    images: tuple[PlaneImage, PlaneImage],
-    fields: tuple[EdgeField, EdgeField],
-    rig: RectifiedRig,
-    table_z_mm: float,
-    limits: RecognitionParameters,
+    tops: list[Top], planes: Sequence[Region], relief: Relief, evidence: Evidence
 ) -> tuple[list[Top], list[Array]]:
     """Fit tops to the grey values, add those that only their parallax tells, and drop what does not rise.
 
     Args:
         tops: what the edges told.
+        planes: of the left image, those without a partner: some may be top faces, too.
         relief: what rises over the table.
-        images: the rectified images with their planes.
-        fields: their gradients.
-        rig: the rectified cameras.
-        table_z_mm: height of the table, base frame.
-        limits: of the recognition.
+        evidence: the images.
 
     Returns:
         The tops that stand there, the surest first; and outlines of what rises and stays unexplained, pixels of the
         left image, each of shape (N, 2).
     """
-    left, right = images
-    surest = sorted((top.fit for top in tops if top.fit.rms_px < CERTAIN_RMS_PX), key=lambda fit: fit.rms_px)
-    sharp = [fit.face for fit in surest[:_FOR_BLUR]]
-    pictures = Pictures.of(left.grey, right.grey)
-    pictures = replace(pictures, blur_px=measure_blur(sharp, pictures, rig, table_z_mm))
-    bench = Bench(pictures, fields, rig, table_z_mm, limits.min_gradient, lambda fit: is_top(fit, table_z_mm, limits))
+    rig, table_z_mm = evidence.rig, evidence.table_z_mm
+    bench = _bench_for(tops, evidence)
     seen = [
         (top, both)
         for top, both in zip(tops, bench.by_profiles([top.fit for top in tops]), strict=True)
@@ -85,27 +85,19 @@ def verify_tops(
     ]
     settled = bench.settled([both for _, both in seen])
     known = [replace(top, fit=both.agreed()) for (top, _), both in zip(seen, settled, strict=True)]
-    spanning: _Spanning | None = None
-    tried: list[tuple[bool, Array]] = []
-    for search in _ROUNDS:
+    sources = _Sources(planes, relief, evidence, bench)
+    tried: list[tuple[Source, Array]] = []
+    # the last one again: what it found may have hidden more
+    for source in (sources.from_lines, sources.from_planes, sources.from_search, sources.from_search):
         trusted = [top for top in known if top.fit.rms_px <= _TRUSTED_RMS_PX]
-        outlines = rising_outlines(relief, explained_polygons(trusted, rig, table_z_mm))
-        new = [
+        outlines = [
             outline
-            for outline in outlines
-            if not any(before == search and np.array_equal(outline, one) for before, one in tried)
+            for outline in rising_outlines(relief, explained_polygons(trusted, rig, table_z_mm))
+            if not any(before == source and np.array_equal(outline, one) for before, one in tried)
         ]
-        if not new:
-            continue
-        if spanning is None:
-            spanning = _Spanning.of(images, bench, limits)
-        settled = [both for outline in new for both in spanning.witnesses(outline)]
-        if search:
-            settled += _searched(new, left, bench, limits)
-        else:
-            settled = [both for both in settled if both.misfit_px2 < _CONVINCING_PX2]
-        known += _new_tops(settled, known)
-        tried += [(search, outline) for outline in new]
+        if outlines:
+            known += _new_tops(source(outlines, known), known)
+            tried += [(source, outline) for outline in outlines]
     known = sorted(one_per_place(known), key=lambda top: top.fit.rms_px)
     rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
     standing = [
@@ -115,55 +107,78 @@ def verify_tops(
     return standing, unseen
 
 
-@dataclass(frozen=True, eq=False)
-class _Spanning:
-    """The faces that borders in space span, each outline's fitted once.
+def _bench_for(tops: list[Top], evidence: Evidence) -> Bench:
+    """Return what faces are fitted to; the surest tops tell how blurred the pictures are."""
+    rig, table_z_mm, limits = evidence.rig, evidence.table_z_mm, evidence.limits
+    surest = sorted((top.fit for top in tops if top.fit.rms_px < CERTAIN_RMS_PX), key=lambda fit: fit.rms_px)
+    pictures = Pictures.of(evidence.left.grey, evidence.right.grey)
+    blur_px = measure_blur([fit.face for fit in surest[:_FOR_BLUR]], pictures, rig, table_z_mm)
+    return Bench(
+        replace(pictures, blur_px=blur_px),
+        evidence.fields,
+        rig,
+        table_z_mm,
+        limits.min_gradient,
+        lambda fit: is_top(fit, table_z_mm, limits),
+    )
 
-    Attributes:
-        ledges: the borders.
-        bench: what faces are fitted to.
-        max_rms_px: of a fit to the edges.
-        fitted: outlines and what was found there.
+
+@dataclass(frozen=True, eq=False)
+class _Sources:
+    """Where top faces may come from that explain what rises, the cheapest first.
+
+    Each takes outlines of what rises in the left image and the tops known so far.
     """
 
-    ledges: Ledges
+    planes: Sequence[Region]
+    relief: Relief
+    evidence: Evidence
     bench: Bench
-    max_rms_px: float
-    fitted: list[tuple[Array, list[Witnesses]]] = field(default_factory=list)
+    _spanned: list[tuple[Array, list[Witnesses]]] = field(default_factory=list)
 
-    @classmethod
-    def of(cls, images: tuple[PlaneImage, PlaneImage], bench: Bench, limits: RecognitionParameters) -> _Spanning:
-        """Find the borders in both images."""
-        left, right = images
-        lines = (find_lines(left.grey), find_lines(right.grey))
-        ledges = find_ledges(lines, bench.rig, bench.table_z_mm, limits.max_height_mm)
-        lenient = replace(limits, min_support=_SPANNED_SUPPORT)
-        possible = replace(bench, possible=lambda fit: is_top(fit, bench.table_z_mm, lenient))
-        return cls(ledges, possible, limits.max_rms_px)
+    def from_lines(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
+        """Return the faces that two borders in space span, where they need no other witness."""
+        return [both for both in self._from_ledges(outlines) if both.misfit_px2 < _CONVINCING_PX2]
 
-    def witnesses(self, outline: Array) -> list[Witnesses]:
-        """Return the faces over an outline that suit edges and grey values."""
-        for before, found in self.fitted:
+    def from_planes(self, _: list[Array], known: list[Top]) -> list[Witnesses]:
+        """Return the planes without a partner that are top faces."""
+        rises = rising_test(known, self.relief, self.evidence.rig, self.evidence.table_z_mm)
+        placed = find_places([plane for plane in self.planes if rises(plane.outline_px)], self.evidence)
+        there = [fit for fit in fit_tops(placed, self.evidence) if fit is not None]
+        return self.bench.settled([both for both in self.bench.by_profiles(there) if both is not None])
+
+    def from_search(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
+        """Return what a search for every figure at every height finds, and all that borders in space span."""
+        rising = fit_rising(outlines, self.evidence, self.bench)
+        # part of a face may explain the grey values along itself, but it has no edges of its own
+        there = [
+            (edges, fit)
+            for fit, edges in zip(rising, self.bench.by_edges([fit.face for fit in rising]), strict=True)
+            if edges is not None and edges.rms_px <= self.evidence.limits.max_rms_px
+        ]
+        return self._from_ledges(outlines) + self.bench.settled(self.bench.together(there))
+
+    def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:
+        return [both for outline in outlines for both in self._over(outline)]
+
+    def _over(self, outline: Array) -> list[Witnesses]:
+        """Return the faces over an outline that borders span and that suit edges and grey values."""
+        for before, found in self._spanned:
             if np.array_equal(before, outline):
                 return found
-        faces = spanned_faces(self.ledges, outline, self.bench.rig)
-        found = self.bench.from_lines(faces, self.max_rms_px)
-        settled = self.bench.settled([found[number] for number in different([both.by_profiles for both in found])])
-        self.fitted.append((outline, settled))
+        limits, table_z_mm = self.evidence.limits, self.evidence.table_z_mm
+        lenient = replace(limits, min_support=_SPANNED_SUPPORT)
+        bench = replace(self.bench, possible=lambda fit: is_top(fit, table_z_mm, lenient))
+        found = bench.from_lines(spanned_faces(self._ledges, outline, bench.rig), limits.max_rms_px)
+        settled = bench.settled([found[number] for number in different([both.by_profiles for both in found])])
+        self._spanned.append((outline, settled))
         return settled
 
-
-def _searched(outlines: list[Array], left: PlaneImage, bench: Bench, limits: RecognitionParameters) -> list[Witnesses]:
-    """Return what a search for every figure at every height finds behind outlines of what rises."""
-    heights_mm = (limits.min_height_mm, limits.max_height_mm)
-    rising = fit_rising(outlines, left, bench.pictures, bench.rig, heights_mm, bench.table_z_mm, bench.possible)
-    # part of a face may explain the grey values along itself, but it has no edges of its own
-    there = [
-        (edges, fit)
-        for fit, edges in zip(rising, bench.by_edges([fit.face for fit in rising]), strict=True)
-        if edges is not None and edges.rms_px <= limits.max_rms_px
-    ]
-    return bench.settled(bench.together(there))
+    @cached_property
+    def _ledges(self) -> Ledges:
+        evidence = self.evidence
+        lines = (find_lines(evidence.left.grey), find_lines(evidence.right.grey))
+        return find_ledges(lines, evidence.rig, evidence.table_z_mm, evidence.limits.max_height_mm)
 
 
 def _new_tops(found: list[Witnesses], known: list[Top]) -> list[Top]:

@@ -9,6 +9,9 @@ from srvs_cell.vision.faces import Face, Figure
 from srvs_cell.vision.grasping import GraspParameters, plan_grasp
 from srvs_cell.vision.lateral_stereo import surfaces_from_matches
 from srvs_cell.vision.recognition import RecognitionParameters, recognise
+from srvs_cell.vision.rectification import RectifiedPair
+from srvs_cell.vision.refinement import GreyPair
+from srvs_cell.vision.relief import measure_relief
 from tests.vision.painted import TABLE_Z_MM, Part, cuboid, cylinder, paint, planes, prism, rig, wedge
 
 PARTS = [
@@ -162,7 +165,11 @@ def test_a_region_with_a_sliver_of_side_face_is_measured_without_it(grown_mm: fl
     left, right, matches = planes([part], cameras, paint([part], cameras), disparity_noise_px=0.1)
     (surface,) = surfaces_from_matches(left, matches, cameras)
     outline = surface.outline_mm + np.where(surface.outline_mm[:, :1] > 500.0, (grown_mm, 0.0, 0.0), 0.0)
-    (workpiece,) = recognise([replace(surface, outline_mm=outline)], left, right, cameras, TABLE_Z_MM)
+    everywhere = np.ones(left.grey.shape, dtype=np.bool_)
+    pair = RectifiedPair(left.grey, right.grey, everywhere, everywhere, cameras)
+    relief = measure_relief(pair, GreyPair.of(left.grey, right.grey), TABLE_Z_MM, None)
+    grown = replace(surface, outline_mm=outline)
+    (workpiece,) = recognise([grown], left, right, cameras, TABLE_Z_MM, relief=relief)
     assert workpiece.kind == "cuboid"
     assert workpiece.size_mm == pytest.approx((60.0, 40.0), abs=0.7)
 

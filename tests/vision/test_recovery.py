@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from srvs_cell.vision.face_fit import EdgeField
+from srvs_cell.scene import PlaneImage
+from srvs_cell.vision.evidence import Evidence
+from srvs_cell.vision.recognition import RecognitionParameters
 from srvs_cell.vision.recovery import NO_PLANE, Region, find_places, rising_regions
 from tests.vision.painted import SIZE, TABLE_Z_MM, Part, cuboid, cylinder, paint, rig
 
 DISC = cylinder(500.0, 50.0, 20.0, 40.0, 170)
 TALL = cuboid(531.0, 50.0, 100.0, 35.0, (40.0, 50.0), 250)
-HEIGHTS_MM = (TABLE_Z_MM, TABLE_Z_MM + 200.0)
-SIZES_MM = (10.0, 160.0)
 
 
 def region_of(part: Part, image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> Region:
@@ -30,8 +30,10 @@ def region_of(part: Part, image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
 def test_a_face_beside_a_brighter_part_at_another_height_gets_its_own_height(others: list[Part]) -> None:
     """In the right image the tall part covers a piece of the disc; its parallax must not be taken for the disc's."""
     left, right = paint([DISC, *others], rig())
-    smooth = (EdgeField.of(left).smooth, EdgeField.of(right).smooth)
-    (surface,) = find_places([region_of(DISC, left)], smooth, rig(), HEIGHTS_MM, SIZES_MM)
+    nothing = np.zeros((SIZE[1], SIZE[0]), np.int32)
+    images = (PlaneImage(left, nothing, ()), PlaneImage(right, nothing, ()))
+    evidence = Evidence.of(*images, rig(), TABLE_Z_MM, RecognitionParameters())
+    (surface,) = find_places([region_of(DISC, left)], evidence)
     assert surface.centre_mm[2] == pytest.approx(DISC.face.z_mm, abs=4.0)
 
 

@@ -12,7 +12,7 @@ from srvs_cell.vision.face_fit import FaceFit
 from srvs_cell.vision.rectification import RectifiedPair
 from srvs_cell.vision.refinement import GreyPair
 from srvs_cell.vision.relief import Relief, measure_relief, risen, rising_outlines, rising_share
-from srvs_cell.vision.tops import Top, explained_polygons, explainer
+from srvs_cell.vision.tops import Top, explained_polygons, rising_test
 from tests.vision.painted import SIZE, TABLE_Z_MM, Part, cuboid, outline_mm, paint, rig
 
 if TYPE_CHECKING:
@@ -140,19 +140,17 @@ def test_what_one_image_did_not_see_does_not_rise() -> None:
 
 def test_only_what_rises_and_is_not_explained_is_looked_at(both: Relief) -> None:
     face, shadow = (picture(part).astype(np.float32) for part in (BOX, SHADOW))
-    known = explainer([], rig(), TABLE_Z_MM, both)
-    assert known is not None
-    assert not known(face)
-    assert known(shadow)
+    rises = rising_test([], both, rig(), TABLE_Z_MM)
+    assert rises(face)
+    assert not rises(shadow)
     found = Top(FaceFit(BOX.face, 0.01 * np.eye(3), 0.1, 1.0), ())
-    assert explainer([found], rig(), TABLE_Z_MM, both) is None
+    assert not rising_test([found], both, rig(), TABLE_Z_MM)(face)
 
 
 def test_a_doubtful_face_explains_nothing(both: Relief) -> None:
     doubtful = Top(FaceFit(BOX.face, 0.01 * np.eye(3), 0.6, 1.0), ())
-    known = explainer([doubtful], rig(), TABLE_Z_MM, both)
-    assert known is not None
-    assert not known(picture(BOX).astype(np.float32))
+    rises = rising_test([doubtful], both, rig(), TABLE_Z_MM)
+    assert rises(picture(BOX).astype(np.float32))
 
 
 @pytest.mark.parametrize(("left", "share"), [(0.0, 1.0), (10.0, 0.5), (40.0, 0.0), (-15.0, 1.0), (-90.0, 0.0)])

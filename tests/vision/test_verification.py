@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from srvs_cell.scene import UNKNOWN_KIND, PlaneImage
-from srvs_cell.vision.face_fit import EdgeField, FaceFit
+from srvs_cell.vision.evidence import Evidence
+from srvs_cell.vision.face_fit import FaceFit
 from srvs_cell.vision.recognition import RecognitionParameters, recognise
 from srvs_cell.vision.rectification import RectifiedPair
 from srvs_cell.vision.refinement import GreyPair
@@ -41,8 +42,7 @@ def verified(parts: list[Part], tops: list[Top]) -> tuple[list[Top], list[Array]
     relief = measure_relief(pair, GreyPair.of(left, right), TABLE_Z_MM, None)
     nothing = np.zeros((SIZE[1], SIZE[0]), np.int32)
     images = (PlaneImage(left, nothing, ()), PlaneImage(right, nothing, ()))
-    fields = (EdgeField.of(left), EdgeField.of(right))
-    return verify_tops(tops, relief, images, fields, cameras, TABLE_Z_MM, RecognitionParameters())
+    return verify_tops(tops, (), relief, Evidence.of(*images, cameras, TABLE_Z_MM, RecognitionParameters()))
 
 
 def top(face: Face, rms_px: float, surface: int) -> Top:
