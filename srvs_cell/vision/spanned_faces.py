@@ -17,6 +17,8 @@ from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, same_place
 from srvs_cell.vision.ledges import LEAST_RISE, LEAST_SIDE_MM, STEEPEST
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
@@ -43,15 +45,23 @@ _MOST_FACES = 60
 """Print has lines enough to span more: those of the longest borders are enough."""
 
 
-def spanned_faces(ledges: Ledges, outline_px: Array, rig: RectifiedRig) -> list[Face]:
-    """Return the faces over an outline of the left image that two of the ledges span, the longest borders first.
+def spanned_faces(ledges: Ledges, outlines_px: Iterable[Array], rig: RectifiedRig) -> list[Face]:
+    """Return the different faces over outlines of the left image that two of the ledges span.
 
     Args:
         ledges: borders in space.
-        outline_px: convex outline of what rises, shape (N, 2); of a wedge it encloses the high part alone.
+        outlines_px: convex outlines of what rises, each of shape (N, 2); of a wedge it encloses the high part alone.
         rig: the rectified cameras.
     """
-    outline = outline_px.astype(np.float32)
+    found: list[Face] = []
+    for outline_px in outlines_px:
+        faces = _over(outline_px.astype(np.float32), ledges, rig)
+        found += [face for face in faces if not any(same_place(face, known, _SAME_MM) for known in found)]
+    return found
+
+
+def _over(outline: NDArray[np.float32], ledges: Ledges, rig: RectifiedRig) -> list[Face]:
+    """Return the spanned faces over one outline, those of the longest borders first."""
     faces: list[Face] = []
     for longer, shorter in _pairs(ledges, outline):
         for face in _span(longer, shorter):

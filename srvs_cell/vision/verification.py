@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from srvs_cell.vision.faces import same_place
 from srvs_cell.vision.ledges import find_ledges, find_lines
 from srvs_cell.vision.profile_fit import measure_blur
 from srvs_cell.vision.profiles import Pictures
@@ -57,6 +58,8 @@ _SPANNED_SUPPORT = 0.55
 """Two borders in space are witnesses already: a face that they span may lack more of its outline than others."""
 _CONVINCING_PX2 = 0.6
 """A face whose misfit is less needs no search, and what lies in it is print."""
+_SAME_MM = 2.0
+"""Two lines of one border span the same face twice."""
 _FOR_BLUR = 3
 """So many well known faces tell the blur of the picture."""
 
@@ -86,18 +89,16 @@ def verify_tops(
     settled = bench.settled([both for _, both in seen])
     known = [replace(top, fit=both.agreed()) for (top, _), both in zip(seen, settled, strict=True)]
     sources = _Sources(planes, relief, evidence, bench)
+    outlines = _unexplained(known, relief, evidence)
     tried: list[tuple[Source, Array]] = []
     # the last one again: what it found may have hidden more
     for source in (sources.from_lines, sources.from_planes, sources.from_search, sources.from_search):
-        trusted = [top for top in known if top.fit.rms_px <= _TRUSTED_RMS_PX]
-        outlines = [
-            outline
-            for outline in rising_outlines(relief, explained_polygons(trusted, rig, table_z_mm))
-            if not any(before == source and np.array_equal(outline, one) for before, one in tried)
-        ]
-        if outlines:
-            known += _new_tops(source(outlines, known), known)
-            tried += [(source, outline) for outline in outlines]
+        new = [one for one in outlines if not any(by == source and np.array_equal(one, other) for by, other in tried)]
+        added = _new_tops(source(new, known), known) if new else []
+        tried += [(source, outline) for outline in new]
+        if added:
+            known += added
+            outlines = _unexplained(known, relief, evidence)
     known = sorted(one_per_place(known), key=lambda top: top.fit.rms_px)
     rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
     standing = [
@@ -105,6 +106,12 @@ def verify_tops(
     ]
     unseen = rising_outlines(relief, explained_polygons(standing, rig, table_z_mm), _UNSEEN_PX)
     return standing, unseen
+
+
+def _unexplained(known: list[Top], relief: Relief, evidence: Evidence) -> list[Array]:
+    """Return outlines of what rises in the left image and is explained by no well fitted top."""
+    trusted = [top for top in known if top.fit.rms_px <= _TRUSTED_RMS_PX]
+    return rising_outlines(relief, explained_polygons(trusted, evidence.rig, evidence.table_z_mm))
 
 
 def _bench_for(tops: list[Top], evidence: Evidence) -> Bench:
@@ -134,7 +141,8 @@ class _Sources:
     relief: Relief
     evidence: Evidence
     bench: Bench
-    _spanned: list[tuple[Array, list[Witnesses]]] = field(default_factory=list)
+    _spanned: list[Face] = field(default_factory=list)
+    _from_borders: list[Witnesses] = field(default_factory=list)
 
     def from_lines(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
         """Return the faces that two borders in space span, where they need no other witness."""
@@ -159,20 +167,17 @@ class _Sources:
         return self._from_ledges(outlines) + self.bench.settled(self.bench.together(there))
 
     def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:
-        return [both for outline in outlines for both in self._over(outline)]
-
-    def _over(self, outline: Array) -> list[Witnesses]:
-        """Return the faces over an outline that borders span and that suit edges and grey values."""
-        for before, found in self._spanned:
-            if np.array_equal(before, outline):
-                return found
+        """Return the faces that borders span over these outlines or earlier ones, those that suit the pictures."""
         limits, table_z_mm = self.evidence.limits, self.evidence.table_z_mm
+        spanned = spanned_faces(self._ledges, outlines, self.bench.rig)
+        new = [face for face in spanned if not any(same_place(face, one, _SAME_MM) for one in self._spanned)]
+        self._spanned.extend(new)
         lenient = replace(limits, min_support=_SPANNED_SUPPORT)
         bench = replace(self.bench, possible=lambda fit: is_top(fit, table_z_mm, lenient))
-        found = bench.from_lines(spanned_faces(self._ledges, outline, bench.rig), limits.max_rms_px)
-        settled = bench.settled([found[number] for number in different([both.by_profiles for both in found])])
-        self._spanned.append((outline, settled))
-        return settled
+        found = bench.from_lines(new, limits.max_rms_px)
+        kept = different([both.by_profiles for both in found])
+        self._from_borders.extend(bench.settled([found[number] for number in kept]))
+        return self._from_borders
 
     @cached_property
     def _ledges(self) -> Ledges:

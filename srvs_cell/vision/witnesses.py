@@ -82,6 +82,12 @@ class Witnesses:
             and self.by_profiles.rms_px <= other.by_profiles.rms_px + _SLACK_PX
         )
 
+    def may_yield_to(self, by_edges: FaceFit) -> bool:
+        """Whether a figure fitted to the edges may suit better or be the twin, whatever the grey values say."""
+        as_inclined = (by_edges.face.slope_u != 0.0) == self.is_inclined
+        most_px = self.by_edges.rms_px + _SLACK_PX if as_inclined else np.inf
+        return by_edges.rms_px <= most_px and by_edges.rms_px**2 <= self.misfit_px2
+
     def agreed(self) -> FaceFit:
         """Return the better of both fits: that to the grey values where it is good.
 
@@ -208,7 +214,11 @@ class Bench:
             for face in other_rectangles(best[number].agreed().face, self.fields[0], self.rig, self.min_gradient)
         ]
         fitted = self.by_edges([face for _, face in others])
-        there = [(number, fit) for (number, _), fit in zip(others, fitted, strict=True) if fit is not None]
+        there = [
+            (number, fit)
+            for (number, _), fit in zip(others, fitted, strict=True)
+            if fit is not None and best[number].may_yield_to(fit)
+        ]
         improved: set[int] = set()
         rivals: dict[int, list[Witnesses]] = {number: [best[number]] for number, _ in there}
         for (number, _), other in zip(there, self.by_profiles([fit for _, fit in there]), strict=True):

@@ -82,7 +82,7 @@ def test_what_lies_above_the_highest_part_is_left_out() -> None:
 )
 def test_two_borders_span_the_face(part: Part) -> None:
     true = part.face
-    found = nearest(spanned_faces(ledges_of(part), outline_px(true), RIG), true)
+    found = nearest(spanned_faces(ledges_of(part), [outline_px(true)], RIG), true)
     assert off_mm(found, true) < 3.0
     assert sorted((found.length_mm, found.width_mm)) == pytest.approx(sorted((true.length_mm, true.width_mm)), abs=3.0)
     assert abs(found.slope_u) == pytest.approx(abs(true.slope_u), abs=0.1)
@@ -91,15 +91,15 @@ def test_two_borders_span_the_face(part: Part) -> None:
 def test_a_face_is_spanned_though_two_of_its_sides_do_not_show() -> None:
     # a top with the grey of the table, whose side faces show on two sides alone
     part = replace(cuboid(560.0, 150.0, 80.0, 20.0, (60.0, 44.0), TABLE_GREY), side_grey=50)
-    found = nearest(spanned_faces(ledges_of(part), outline_px(part.face), RIG), part.face)
+    found = nearest(spanned_faces(ledges_of(part), [outline_px(part.face)], RIG), part.face)
     assert off_mm(found, part.face) < 4.0
 
 
 def test_faces_elsewhere_are_left_out() -> None:
     part = cuboid(490.0, 80.0, 60.0, 20.0, (60.0, 40.0), 180)
     elsewhere = WHOLE_PICTURE / 8.0
-    assert spanned_faces(ledges_of(part), WHOLE_PICTURE, RIG)
-    assert spanned_faces(ledges_of(part), elsewhere, RIG) == []
+    assert spanned_faces(ledges_of(part), [WHOLE_PICTURE], RIG)
+    assert spanned_faces(ledges_of(part), [elsewhere], RIG) == []
 
 
 def border(start: tuple[float, float, float], end: tuple[float, float, float]) -> Array:
@@ -114,7 +114,7 @@ def ledges_at(*borders: Array) -> Ledges:
 
 def test_borders_at_two_heights_span_no_level_face() -> None:
     low, high = border((480.0, 40.0, 25.0), (530.0, 40.0, 25.0)), border((480.0, 80.0, 45.0), (530.0, 80.0, 45.0))
-    (face,) = spanned_faces(ledges_at(low, high), WHOLE_PICTURE, RIG)
+    (face,) = spanned_faces(ledges_at(low, high), [WHOLE_PICTURE], RIG)
     assert face.figure is Figure.RECTANGLE
     assert abs(face.slope_u) == pytest.approx(0.5)
     assert sorted(face.corners_mm()[:, 2].tolist()) == pytest.approx([25.0, 25.0, 45.0, 45.0])
@@ -122,11 +122,11 @@ def test_borders_at_two_heights_span_no_level_face() -> None:
 
 def test_borders_beside_each_other_end_to_end_span_nothing() -> None:
     one, other = border((430.0, 40.0, 45.0), (480.0, 40.0, 45.0)), border((490.0, 60.0, 45.0), (540.0, 60.0, 45.0))
-    assert spanned_faces(ledges_at(one, other), WHOLE_PICTURE, RIG) == []
+    assert spanned_faces(ledges_at(one, other), [WHOLE_PICTURE], RIG) == []
 
 
 def test_a_corner_whose_sides_do_not_meet_spans_nothing() -> None:
     along, across = border((480.0, 40.0, 45.0), (530.0, 40.0, 45.0)), border((532.0, 42.0, 45.0), (532.0, 80.0, 45.0))
-    assert len(spanned_faces(ledges_at(along, across), WHOLE_PICTURE, RIG)) == 1
+    assert len(spanned_faces(ledges_at(along, across), [WHOLE_PICTURE], RIG)) == 1
     higher = across + np.array([0.0, 0.0, 12.0])
-    assert spanned_faces(ledges_at(along, higher), WHOLE_PICTURE, RIG) == []
+    assert spanned_faces(ledges_at(along, higher), [WHOLE_PICTURE], RIG) == []
