@@ -68,7 +68,9 @@ def fill_disparity(
     planes = np.array(surfaces, dtype=np.float64)
     for k, surface in enumerate(surfaces):
         rows, columns = np.nonzero(cv2.erode((owner == k).astype(np.uint8), _ERODED))
-        aligned = align_plane(pair, rows, columns, surface, refinement, parameters.roughness_px)
+        aligned = align_plane(
+            pair, rows, columns, surface, refinement, parameters.roughness_px, parameters.row_sigma_px
+        )
         if aligned is not None:
             planes[k] = aligned.plane
     a, b, c = planes.astype(np.float32).T

@@ -167,6 +167,9 @@ class DenseParameters:
     roughness_px: Annotated[
         float, Field(ge=0.0, le=5.0, description="standard deviation of real surfaces' disparities from planes")
     ] = 0.3
+    row_sigma_px: Annotated[
+        float, Field(ge=0.0, le=1.0, description="standard deviation of what a surface's rows are apart in the images")
+    ] = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, config=_CONFIG)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import cv2
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from srvs_cell.vision.parameters import RefinementParameters
 
 SMOOTHING_PX = 1.0
+_SLOPE = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
 _SLOPE_SIGMA = 0.05
 _NOISE_GREY = 1.0
 _TUKEY = 4.685
@@ -40,8 +42,8 @@ _CORRELATED_PIXELS = 12.0
 """Smoothing makes so many neighbouring pixels count as one."""
 _LEAST_SIGMA_PX = 0.02
 _CONVINCING = 0.97
-_LEVEL = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
-"""The level among what is solved for."""
+_GAIN, _OFFSET, _ROW = 3, 4, 5
+"""The numbers of what is solved for besides the plane; the last one only where rows may be apart."""
 _LEVEL_STEP_PX = 0.5
 _ROUGH_PIXELS = 500
 """So many pixels tell which of several starts is the best."""
@@ -58,11 +60,16 @@ class GreyPair:
     right: NDArray[np.float32]
     left_x: NDArray[np.float32]
 
+    @cached_property
+    def left_y(self) -> NDArray[np.float32]:
+        """The left image's derivative along the columns, float32, shape (H, W)."""
+        return np.asarray(cv2.filter2D(self.left, cv2.CV_32F, _SLOPE.T), dtype=np.float32)
+
     @classmethod
     def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> GreyPair:
         """Prepare two grey images, uint8, shape (H, W)."""
         smoothed = smooth(left, SMOOTHING_PX)
-        slope = cv2.filter2D(smoothed, cv2.CV_32F, np.array([[-0.5, 0.0, 0.5]], dtype=np.float32))
+        slope = cv2.filter2D(smoothed, cv2.CV_32F, _SLOPE)
         return cls(smoothed, smooth(right, SMOOTHING_PX), np.asarray(slope, dtype=np.float32))
 
 
@@ -190,6 +197,7 @@ def align_plane(
     start: DisparityPlane,
     parameters: RefinementParameters,
     roughness_px: float = 0.0,
+    row_sigma_px: float = 0.0,
 ) -> Alignment | None:
     """Align a plane over some pixels of the left image.
 
@@ -201,6 +209,8 @@ def align_plane(
         parameters: number of steps, pixels used, greatest shift.
         roughness_px: standard deviation of the surface's own disparities from a plane. A sharp edge tells no more of
             the plane than this, so that paper that curls is levelled over its area and not over its boldest print.
+        row_sigma_px: standard deviation of what the rows of the two images are apart, which is found too; 0 where they
+            are the same. Rows that are apart shift an inclined edge along the rows, as a disparity does.
 
     Returns:
         The alignment, or None where too few pixels lie in both images, the plane moved too far, or explains the pixels
@@ -220,18 +230,24 @@ def align_plane(
     target, slope = pair.left.ravel().take(place), pair.left_x.ravel().take(place)
     # without contrast nothing but this holds the plane
     held = (_NOISE_GREY / _SLOPE_SIGMA) ** 2
-    prior = np.array([held, held, (_NOISE_GREY / parameters.max_shift_px) ** 2, 1e-3, 1e-3])
-    expected = np.array([0.0, 0.0, first_level, 1.0, 0.0])
-    solution = np.array([a, b, first_level, 1.0, 0.0])
-    # what the prediction changes by with a, b, level (all three by -gain times this), gain and offset
+    row_held = [(_NOISE_GREY / row_sigma_px) ** 2] if row_sigma_px else []
+    prior = np.array([held, held, (_NOISE_GREY / parameters.max_shift_px) ** 2, 1e-3, 1e-3, *row_held])
+    expected = np.zeros(prior.size)
+    expected[2:4] = first_level, 1.0
+    solution = expected.copy()
+    solution[:2] = a, b
+    # what the prediction changes by with a, b, level (all three by -gain times this), gain, offset and row
     basis = np.ones((solution.size, rows.size), dtype=np.float32)
     basis[:3] = slope * design
+    if row_sigma_px:
+        basis[_ROW] = pair.left_y.ravel().take(place)
+    moved = np.ones(solution.size)
     seen_first, inside_first = seen, inside = samples.at(solution[:3], design)
     for _ in range(parameters.iterations):
         if np.count_nonzero(inside) < _MIN_PIXELS:
             return None
-        gain, offset = solution[3:].astype(np.float32)
-        residual = target - (gain * seen + offset)
+        gain = np.float32(solution[_GAIN])
+        residual = target - _predicted(solution, basis, seen)
         residual *= inside
         scale = max(_NOISE_GREY, _MAD_TO_SIGMA * median(np.abs(residual)))
         # in units of the noise: what the surface's roughness makes of a slope adds to it
@@ -241,7 +257,7 @@ def align_plane(
         weight *= inside / spread
         basis[3] = seen
         # d moves the sample against x
-        moved = np.array([-gain, -gain, -gain, 1.0, 1.0])
+        moved[:3] = -gain
         weighted = basis * weight
         normal = (weighted @ basis.T) * np.multiply.outer(moved, moved)
         normal.flat[:: solution.size + 1] += prior
@@ -253,21 +269,20 @@ def align_plane(
             break
     if abs(solution[2] - first_level) > parameters.max_shift_px or not np.isfinite(solution).all():
         return None
-    gain, offset = solution[3:].astype(np.float32)
-    both = inside & inside_first
+    predicted, both = _predicted(solution, basis, seen), inside & inside_first
     units = np.float32(_TUKEY * scale)
     before, same_light, after = (
         _robust_cost(np.asarray((target - each) / units, dtype=np.float32), spread, both)
-        for each in (seen_first, gain * seen_first + offset, gain * seen + offset)
+        for each in (seen_first, _predicted(solution, basis, seen_first), predicted)
     )
     if after > min(before, same_light):
         return None
     variance = float(weight @ np.square(residual) / max(weight.sum(), 1.0))
-    _, _, of_level, _ = dgesv(normal, _LEVEL)
-    sigma = math.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * float(of_level[2]))
+    _, _, inverse, _ = dgesv(normal, np.eye(solution.size))
+    sigma = math.sqrt(max(variance, 1e-6) * _CORRELATED_PIXELS * stride * float(inverse[2, 2]))
     if not inside.all():
-        target, seen = target[inside], seen[inside]
-    correlation, contrast = _correlation(target, seen)
+        target, predicted = target[inside], predicted[inside]
+    correlation, contrast = _correlation(target, predicted)
     a, b, level = (float(value) for value in solution[:3])
     return Alignment((a, b, level - a * middle_x - b * middle_y), max(sigma, _LEAST_SIGMA_PX), correlation, contrast)
 
@@ -307,6 +322,12 @@ class _Samples:
         left += self.row_start
         value = self.right.take(left)
         return value + (clipped - whole) * (self.right[1:].take(left) - value), clipped == x
+
+
+def _predicted(solution: Array, basis: NDArray[np.float32], seen: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the left grey values by the right ones: with gain, offset, and what rows that are apart make of them."""
+    found = solution.astype(np.float32)
+    return np.asarray(found[_GAIN] * seen + found[_OFFSET:] @ basis[_OFFSET:], dtype=np.float32)
 
 
 def _tukey(residual: NDArray[np.float32], spread: NDArray[np.float32]) -> NDArray[np.float32]:

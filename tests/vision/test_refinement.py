@@ -105,3 +105,23 @@ def test_a_face_without_contrast_keeps_the_plane_of_its_borders() -> None:
 def test_a_disparity_out_of_range_is_dropped() -> None:
     left, right = images()
     assert refined_by(left, right, [match_of(left, TRUE)], (25.0, 30.0)) == []
+
+
+def test_rows_that_are_apart_are_not_taken_for_a_disparity() -> None:
+    y, x = np.mgrid[0:100, 0:160].astype(np.float64)
+
+    def texture(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint8]:
+        # mostly inclined: along such a pattern a part of a row looks like a part of a column
+        grey = 128.0 + 50.0 * np.sin(0.5 * x + 0.5 * y) + 15.0 * np.sin(0.7 * x - 0.2 * y) + 15.0 * np.sin(0.4 * y)
+        return np.rint(grey).astype(np.uint8)
+
+    pair = GreyPair.of(texture(x, y), texture(x + 6.0, y + 0.15))
+    rows, columns = (index.ravel() for index in np.mgrid[20:80, 40:120])
+    errors = []
+    for row_sigma_px in (0.0, 0.1):
+        found = align_plane(pair, rows, columns, (0.0, 0.0, 6.5), RefinementParameters(), row_sigma_px=row_sigma_px)
+        assert found is not None
+        a, b, c = found.plane
+        errors.append(abs(80.0 * a + 50.0 * b + c - 6.0))
+    assert errors[0] > 0.08
+    assert errors[1] < 0.02
