@@ -94,33 +94,24 @@ class EdgeField:
         )
         return cls(np.asarray(grey_values, dtype=np.float32), np.asarray(cv2.merge(parts), dtype=np.float32))
 
-    def along_normals(
-        self, points_px: tuple[Array, Array], normals: tuple[Array, Array], offsets_px: Array
-    ) -> NDArray[np.float32]:
+    def along_normals(self, points_px: Array, normals: Array, offsets_px: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the gradient along normals at T offsets from points; 0 outside the image.
 
         Args:
-            points_px: x and y, each of shape (B, N).
-            normals: x and y, of the same shape.
+            points_px: x and y, shape (B, 2, N).
+            normals: of the same shape.
             offsets_px: shape (T,).
 
         Returns:
             float32, shape (B, T, N).
         """
-        offsets = offsets_px.astype(np.float32)[:, None]
-        across_x, across_y = (part.astype(np.float32)[:, None, :] for part in normals)
-        x, y = points_px
-        places_x = x.astype(np.float32)[:, None, :] + across_x * offsets
-        places_y = y.astype(np.float32)[:, None, :] + across_y * offsets
-        flat = (places_x.shape[0], -1)
-        seen = cv2.remap(
-            self.gradient,
-            places_x.reshape(flat),
-            places_y.reshape(flat),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-        ).reshape(*places_x.shape, 2)
-        return np.asarray(seen[..., 0] * across_x + seen[..., 1] * across_y, dtype=np.float32)
+        points, across = (np.moveaxis(each, 1, 0).astype(np.float32)[:, :, None] for each in (points_px, normals))
+        places = across * offsets_px[:, None]
+        places += points
+        places_x, places_y = places.reshape(2, len(points_px), -1)
+        seen = cv2.remap(self.gradient, places_x, places_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        seen_x, seen_y = np.moveaxis(seen.reshape(*places.shape[1:], 2), -1, 0)
+        return np.asarray(seen_x * across[0] + seen_y * across[1], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +135,7 @@ class FaceFit:
 class _Linearised:
     """One Gauss-Newton iteration of B figures; distances and whether there is an edge have shape (2, B, N).
 
-    The covariances, shape (B, 7, 7), are those of edges with a standard deviation of one pixel.
+    The covariances of the places, shape (B, 3, 3), are those of edges with a standard deviation of one pixel.
     """
 
     steps: Array
@@ -205,12 +196,11 @@ def _judged(outlines: Outlines, borders: Borders, last: _Linearised) -> list[Fac
     distances = np.where(last.found, np.abs(last.distances_px), _MISSING_PX)
     capped = np.sqrt(np.mean(np.minimum(distances, _SUPPORT_PX) ** 2, axis=(0, 2)))
     noise_px = np.maximum(_EDGE_SIGMA_PX, capped)
-    perimeter_px = np.hypot(
-        *(np.diff(side[0], axis=1, append=side[0, :, :1]) for side in (borders.x_px, borders.y_px))
-    ).sum(axis=1)
+    points = borders.points_px[0]
+    perimeter_px = np.linalg.norm(np.diff(points, append=points[..., :1]), axis=1).sum(axis=1)
     # a sample of a densely sampled outline tells less than one of a sparsely sampled one
-    samples_per_one = np.maximum(1.0, borders.x_px.shape[2] * _INDEPENDENT_PX / np.maximum(perimeter_px, 1.0))
-    covariances = last.covariances[:, :3, :3] * (noise_px**2 * samples_per_one)[:, None, None]
+    samples_per_one = np.maximum(1.0, outlines.unit.shape[2] * _INDEPENDENT_PX / np.maximum(perimeter_px, 1.0))
+    covariances = last.covariances * (noise_px**2 * samples_per_one)[:, None, None]
     rms = np.sqrt(np.mean(distances**2, axis=(0, 2)))
     support = (distances < _SUPPORT_PX).mean(axis=2).min(axis=0)
     return [
@@ -260,11 +250,13 @@ def _edges(
     half_width_px, step_px = search_px
     min_gradient, textures = gradients
     reach = round(half_width_px / step_px) + 1
-    offsets = np.arange(-reach, reach + 1, dtype=np.float64) * step_px
-    size = np.empty((*borders.x_px.shape[:2], offsets.size, borders.x_px.shape[2]), dtype=np.float32)
-    for eye, field in enumerate(fields):
-        points = (borders.x_px[eye], borders.y_px[eye])
-        size[eye] = field.along_normals(points, (borders.normal_x[eye], borders.normal_y[eye]), offsets)
+    offsets = np.arange(-reach, reach + 1, dtype=np.float32) * np.float32(step_px)
+    size = np.stack(
+        [
+            field.along_normals(points, normals, offsets)
+            for field, points, normals in zip(fields, borders.points_px, borders.normals, strict=True)
+        ]
+    )
     size = np.abs(_averaged(size, outlines))
     # an edge is a local maximum, so that the flank of one beyond the window does not count
     inner = size[..., 1:-1, :]
@@ -295,17 +287,14 @@ def _averaged(profiles: NDArray[np.float32], outlines: Outlines) -> NDArray[np.f
 def _textures(borders: Borders, fields: tuple[EdgeField, EdgeField]) -> Array:
     """Return the gradient that each face's own texture reaches in both images, across its outline, shape (2, B)."""
     found = []
-    for field, x, y in zip(fields, borders.x_px, borders.y_px, strict=True):
-        middle_x, middle_y = x.mean(axis=1, keepdims=True), y.mean(axis=1, keepdims=True)
-        rays = (x - middle_x, y - middle_y)
-        length = np.maximum(np.hypot(*rays), _TINY)
+    for field, points in zip(fields, borders.points_px, strict=True):
+        middle = points.mean(axis=2, keepdims=True)
+        rays = points - middle
+        length = np.maximum(np.hypot(rays[:, :1], rays[:, 1:]), _TINY)
         # the samples drawn towards the middle, one share after the other
-        inside = [
-            np.concatenate([middle + share * ray for share in _INSIDE], axis=1)
-            for middle, ray in zip((middle_x, middle_y), rays, strict=True)
-        ]
-        directions = [np.tile(ray / length, len(_INSIDE)) for ray in rays]
-        size = np.abs(field.along_normals((inside[0], inside[1]), (directions[0], directions[1]), np.zeros(1)))[:, 0]
+        inside = np.concatenate([middle + share * rays for share in _INSIDE], axis=2)
+        directions = np.tile(rays / length, len(_INSIDE))
+        size = np.abs(field.along_normals(inside, directions, np.zeros(1, dtype=np.float32)))[:, 0]
         rank = round(_TEXTURE_QUANTILE * (size.shape[1] - 1))
         found.append(np.partition(size, rank, axis=1)[:, rank])
     return np.stack(found)

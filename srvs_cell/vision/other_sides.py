@@ -74,8 +74,9 @@ def _lines(points_mm: Array, field: EdgeField, rig: RectifiedRig, min_gradient: 
     last = _ALONG.size - 1
     along_x, along_y = x[last] - x[0], y[last] - y[0]
     length = np.hypot(along_x, along_y)
-    across = (np.full((1, x.size), along_y / length), np.full((1, x.size), -along_x / length))
-    slopes = field.along_normals((x[None], y[None]), across, np.zeros(1))
+    points_px = np.stack([x, y])[None]
+    across = np.broadcast_to(np.array([[along_y], [-along_x]]) / length, points_px.shape)
+    slopes = field.along_normals(points_px, across, np.zeros(1, dtype=np.float32))
     # what does not run along most of the side, like print, has no say in the median
     line = np.abs(np.median(slopes.reshape(_OFFSETS_PX.size, _ALONG.size), axis=1))
     peak = np.zeros(line.shape, dtype=np.bool_)

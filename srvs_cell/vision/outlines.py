@@ -1,8 +1,9 @@
 """Step 11a: many figures at once, sampled along their outlines, as both cameras see them.
 
 All figures of a batch have the same number of samples and the same seven parameters (x, y, z, length, angle, width,
-slope along the length), some of which are held: whatever is done to one is one array operation for all. Coordinates
-and cameras come first in the arrays' shapes and samples last, so that each operation runs along many samples.
+slope along the length), some of which are held: whatever is done to one is one array operation for all. A sample is
+(u, v, 1) in its figure's plane; one 3x3 matrix leads from there to homogeneous pixels of a camera (Hartley and
+Zisserman 2004, 8.1), and its derivatives by the parameters are matrices like it.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ _NEAREST_MM = 1.0
 _TINY = float(np.finfo(float).tiny)
 _LENGTH, _ANGLE, _WIDTH, _SLOPE = 3, 4, 5, 6
 """Places of the parameters behind x, y and z."""
+_PLACE = np.arange(3)
+_OF_PLACE = np.eye(7, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,27 +41,29 @@ class Borders:
     """Outlines as both rectified cameras see them: B figures with N samples; first axis: left and right image.
 
     Attributes:
-        x_px, y_px: the samples, shape (2, B, N).
-        normal_x, normal_y: unit normals that point away from the figures' middles, the same shape.
+        points_px: the samples, x and y, shape (2, B, 2, N).
+        normals: unit normals that point away from the figures' middles, x and y, the same shape.
+        spacing_px: distance from each sample to the next one of its side, shape (2, B, N).
+        depth_mm: distance of the samples from the cameras' plane, shape (2, B, N).
         by_parameter: how far the outline moves outwards at each sample with each of the figure's seven parameters, 0
             for those that are held, pixels, shape (2, B, 7, N).
         in_front: whether all of a figure is in front of the cameras and finite, shape (B,).
     """
 
-    x_px: Array
-    y_px: Array
-    normal_x: Array
-    normal_y: Array
+    points_px: Array
+    normals: Array
+    spacing_px: Array
+    depth_mm: Array
     by_parameter: Array
     in_front: NDArray[np.bool_]
 
     def only(self, kept: NDArray[np.intp]) -> Borders:
         """Return some of the figures by their numbers."""
         return Borders(
-            self.x_px[:, kept],
-            self.y_px[:, kept],
-            self.normal_x[:, kept],
-            self.normal_y[:, kept],
+            self.points_px[:, kept],
+            self.normals[:, kept],
+            self.spacing_px[:, kept],
+            self.depth_mm[:, kept],
             self.by_parameter[:, kept],
             self.in_front[kept],
         )
@@ -72,8 +77,8 @@ class Outlines:
         figures: what each is.
         values: x, y, z, length, angle, width and slope along the length of each, shape (B, 7).
         free: which of them may change, bool, shape (B, 7).
-        unit: the samples in the figure's own unit square [-1, 1], shape (2, B, N).
-        tangents: the outline's direction there, shape (2, B, N).
+        unit: the samples in the figure's own unit square [-1, 1], homogeneous (u, v, 1), shape (B, 3, N).
+        ways: from there to the next sample, counter-clockwise from above, (u, v, 0), shape (B, 3, N).
         first, last: whether a sample is the first or last of its side, bool, shape (B, N).
     """
 
@@ -81,7 +86,7 @@ class Outlines:
     values: Array
     free: NDArray[np.bool_]
     unit: Array
-    tangents: Array
+    ways: Array
     first: NDArray[np.bool_]
     last: NDArray[np.bool_]
 
@@ -98,7 +103,7 @@ class Outlines:
             equal_sides: whether each side has as many samples, instead of as many as its length asks for.
         """
         sampled = [_sample(face.figure, _counts(face, samples, equal_sides=equal_sides)) for face in faces]
-        unit, tangents, first, last = (np.stack(parts) for parts in zip(*sampled, strict=True))
+        unit, ways, first, last = (np.stack(parts) for parts in zip(*sampled, strict=True))
         values = np.array(
             [
                 (face.x_mm, face.y_mm, face.z_mm, face.length_mm, face.angle_rad, face.width_mm, face.slope_u)
@@ -110,8 +115,7 @@ class Outlines:
         free[:, _ANGLE] = [face.figure is not Figure.CIRCLE for face in faces]
         free[:, _WIDTH] = rectangle
         free[:, _SLOPE] = rectangle & np.array(inclined)
-        unit, tangents = (np.ascontiguousarray(np.moveaxis(one, -1, 0)) for one in (unit, tangents))
-        return cls(tuple(face.figure for face in faces), values, free, unit, tangents, first, last)
+        return cls(tuple(face.figure for face in faces), values, free, unit, ways, first, last)
 
     def faces(self) -> list[Face]:
         """Return the figures as faces."""
@@ -126,8 +130,8 @@ class Outlines:
             tuple(self.figures[number] for number in kept),
             self.values[kept],
             self.free[kept],
-            self.unit[:, kept],
-            self.tangents[:, kept],
+            self.unit[kept],
+            self.ways[kept],
             self.first[kept],
             self.last[kept],
         )
@@ -139,87 +143,79 @@ class Outlines:
         return replace(self, values=values)
 
     def points_mm(self) -> Array:
-        """Return the samples in the base frame, shape (3, B, N)."""
-        return self._turned(self.unit) + self.values[:, :3].T[..., None]
+        """Return the samples in the base frame, shape (B, 3, N)."""
+        points: Array = self._placements()[:, :3] @ self.unit
+        return points
 
     def seen(self, rig: RectifiedRig) -> Borders:
         """Return the outlines as the cameras see them."""
-        rotation = rig.camera_T_base.rotation
-        figures, samples = self.unit.shape[1:]
-        camera = _mapped(rotation, self.points_mm()) + rig.camera_T_base.translation_mm[:, None, None]
-        in_front = np.isfinite(camera[2]).all(axis=1) & (camera[2].min(axis=1) > _NEAREST_MM)
-        depth = np.maximum(camera[2], _NEAREST_MM)
-        # both cameras differ in x alone
-        right = np.array([0.0, rig.baseline_mm])[:, None, None]
-        x, y = (camera[0] - right) / depth, np.broadcast_to(camera[1] / depth, (2, figures, samples))
-        along = _mapped(rotation, self._turned(self.tangents))
-        flow_x, flow_y = along[0] - x * along[2], along[1] - y * along[2]
-        length = np.maximum(np.hypot(flow_x, flow_y), _TINY)
-        normal_x, normal_y = flow_y / length, -flow_x / length
-        outwards = (x - x.mean(axis=-1, keepdims=True)) * normal_x + (y - y.mean(axis=-1, keepdims=True)) * normal_y
-        turn = np.where(outwards < 0.0, -1.0, 1.0)
-        normal_x, normal_y = turn * normal_x, turn * normal_y
-        # how a pixel moves along the normal when its point moves, as a linear function in the base frame
-        scale = rig.f_px / depth
-        covectors = np.stack([scale * normal_x, scale * normal_y, -scale * (normal_x * x + normal_y * y)])
-        by_parameter = self.change(_mapped(rotation.T, covectors))
-        return Borders(rig.f_px * x + rig.cx_px, rig.f_px * y + rig.cy_px, normal_x, normal_y, by_parameter, in_front)
+        placements = self._placements()
+        planes = rig.projections[:, None] @ placements
+        seen, flow = planes @ self.unit, planes @ self.ways
+        in_front = np.all(seen[0, :, 2] > _NEAREST_MM, axis=1)
+        depth = np.maximum(seen[:, :, 2:], _NEAREST_MM)
+        points = seen[:, :, :2] / depth
+        flow = flow[:, :, :2] - points * flow[:, :, 2:]
+        length = np.maximum(np.hypot(flow[:, :, :1], flow[:, :, 1:]), _TINY)
+        # counter-clockwise from above is clockwise in a picture whose y axis points down
+        normals = flow[:, :, ::-1] / np.copysign(length, np.linalg.det(planes)[..., None, None])
+        normals[:, :, 1] *= -1.0
+        # how a pixel moves along the normal when its homogeneous coordinates change
+        covectors = np.empty(seen.shape)
+        covectors[:, :, :2] = normals
+        covectors[:, :, 2] = -normals[:, :, 0] * points[:, :, 0] - normals[:, :, 1] * points[:, :, 1]
+        covectors /= depth
+        by_element = (covectors[:, :, :, None] * self.unit[:, None]).reshape(*seen.shape[:2], 9, -1)
+        changes = rig.projections[:, None, None, :, :3] @ self._changes(placements)
+        by_parameter = changes.reshape(*seen.shape[:2], -1, 9) @ by_element
+        return Borders(points, normals, (length / depth)[:, :, 0], depth[:, :, 0], by_parameter, in_front)
 
-    def feet_px(self, rig: RectifiedRig, table_z_mm: float) -> tuple[Array, Array]:
-        """Return where both cameras see the points of the table under the samples, x and y of shape (2, B, N)."""
-        feet = self.points_mm()
-        feet[2] = table_z_mm
-        camera = _mapped(rig.camera_T_base.rotation, feet) + rig.camera_T_base.translation_mm[:, None, None]
-        scale = rig.f_px / np.maximum(camera[2], _NEAREST_MM)
-        x, y = (camera[axis] * scale + centre for axis, centre in ((0, rig.cx_px), (1, rig.cy_px)))
-        return np.stack([x, x - rig.baseline_mm * scale]), np.broadcast_to(y, (2, *y.shape))
-
-    def change(self, covectors: Array) -> Array:
-        """Return how linear functions of the samples' places change with the parameters.
+    def side_px(self, borders: Borders, rig: RectifiedRig, table_z_mm: float) -> Array:
+        """Return how far outside of the border the table's points under the samples are seen, shape (2, B, N).
 
         Args:
-            covectors: of each sample in each of K pictures, base frame, shape (3, K, B, N).
-
-        Returns:
-            Derivatives by the seven parameters, 0 for those that are held, shape (K, B, 7, N).
+            borders: these outlines as the cameras see them.
+            rig: the rectified cameras.
+            table_z_mm: height of the table, base frame.
         """
-        cos, sin = np.cos(self.values[:, _ANGLE, None]), np.sin(self.values[:, _ANGLE, None])
-        g_x, g_y, g_z = covectors
-        half_u, half_v = self.unit / 2.0
-        along = cos * g_x + sin * g_y
-        across = cos * g_y - sin * g_x
-        u_mm, v_mm = self._sides_mm(self.unit)
-        by_width = half_v * across
-        by_length = half_u * (along + self.values[:, _SLOPE, None] * g_z)
-        changes = np.empty((*g_x.shape[:-1], self.values.shape[1], g_x.shape[-1]))
-        changes[..., 0, :], changes[..., 1, :], changes[..., 2, :] = covectors
-        # a figure that is no rectangle grows in both directions with its length
-        changes[..., _LENGTH, :] = by_length + np.where(self._is_rectangle, 0.0, by_width)
-        changes[..., _ANGLE, :] = u_mm * across - v_mm * along
-        changes[..., _WIDTH, :] = by_width
-        changes[..., _SLOPE, :] = u_mm * g_z
-        changes *= self.free[:, :, None]
+        rise = (self.values[:, _SLOPE] * self.values[:, _LENGTH] / 2.0)[:, None] * self.unit[:, 0]
+        drop = rise + (self.values[:, 2, None] - table_z_mm)
+        # pixels move by height as depth allows, and depth grows on the way down
+        deeper = borders.depth_mm - drop * rig.projections[0, 2, 2]
+        side: Array = -borders.by_parameter[:, :, 2] * drop * borders.depth_mm / np.maximum(deeper, _NEAREST_MM)
+        return side
+
+    def _placements(self) -> Array:
+        """Return the matrices from the figures' planes to the base frame, homogeneous, shape (B, 4, 3)."""
+        length, angle, width, slope = self.values[:, _LENGTH:].T
+        # a figure that is no rectangle is as wide as long
+        half, across = length / 2.0, np.where(self.free[:, _WIDTH], width, length) / 2.0
+        cos, sin = np.cos(angle), np.sin(angle)
+        placements = np.zeros((len(half), 4, 3))
+        placements[:, 0, 0], placements[:, 1, 0], placements[:, 2, 0] = cos * half, sin * half, slope * half
+        placements[:, 0, 1], placements[:, 1, 1] = -sin * across, cos * across
+        placements[:, :3, 2] = self.values[:, :3]
+        placements[:, 3, 2] = 1.0
+        return placements
+
+    def _changes(self, placements: Array) -> Array:
+        """Return the derivatives of the placements by the seven parameters, 0 for what is held, (B, 7, 3, 3)."""
+        rectangle, length = self.free[:, _WIDTH, None], self.values[:, _LENGTH, None]
+        across = placements[:, :3, 1] / np.where(rectangle, self.values[:, _WIDTH, None], length)
+        changes = np.zeros((*self.values.shape, 3, 3))
+        changes[:, _PLACE, _PLACE, 2] = 1.0
+        changes[:, _LENGTH, :, 0] = placements[:, :3, 0] / length
+        changes[:, _LENGTH, :, 1] = np.where(rectangle, 0.0, across)
+        changes[:, _ANGLE, 0, :2] = -placements[:, 1, :2]
+        changes[:, _ANGLE, 1, :2] = placements[:, 0, :2]
+        changes[:, _WIDTH, :, 1] = across
+        changes[:, _SLOPE, 2, 0] = length[:, 0] / 2.0
+        changes *= self.free[:, :, None, None]
         return changes
-
-    @property
-    def _is_rectangle(self) -> NDArray[np.bool_]:
-        return np.array([figure is Figure.RECTANGLE for figure in self.figures])[:, None]
-
-    def _sides_mm(self, unit: Array) -> tuple[Array, Array]:
-        """Return vectors of the unit square in millimetres along the length and across, each of shape (B, N)."""
-        length = self.values[:, _LENGTH, None] / 2.0
-        across = np.where(self._is_rectangle, self.values[:, _WIDTH, None] / 2.0, length)
-        return unit[0] * length, unit[1] * across
-
-    def _turned(self, unit: Array) -> Array:
-        """Return vectors of the unit square as vectors of the base frame, shape (3, B, N)."""
-        u, v = self._sides_mm(unit)
-        cos, sin = np.cos(self.values[:, _ANGLE, None]), np.sin(self.values[:, _ANGLE, None])
-        return np.stack([cos * u - sin * v, sin * u + cos * v, self.values[:, _SLOPE, None] * u])
 
 
 def newton_steps(normal_matrices: Array, gradients: Array, damping: float) -> tuple[Array, Array]:
-    """Return damped Gauss-Newton steps of B figures and the inverses of their normal matrices.
+    """Return damped Gauss-Newton steps of B figures and the covariances of their places.
 
     Args:
         normal_matrices: shape (B, 7, 7); what is held has neither row nor column.
@@ -227,42 +223,42 @@ def newton_steps(normal_matrices: Array, gradients: Array, damping: float) -> tu
         damping: what is added to the diagonal of each matrix when its parameters are scaled to 1.
 
     Returns:
-        Steps, shape (B, 7), and inverses, shape (B, 7, 7).
+        Steps, shape (B, 7), and of x, y and z the inverses of the normal matrices, shape (B, 3, 3).
     """
     diagonal = np.einsum("bii->bi", normal_matrices)
-    norm = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     # what is held has no row: 1 on the diagonal keeps the inverse of the rest
-    added = np.where(diagonal > 0.0, damping, 1.0)[:, :, None] * np.eye(diagonal.shape[1])
-    inverses = np.linalg.inv(normal_matrices / (norm[:, :, None] * norm[:, None, :]) + added)
-    inverses /= norm[:, :, None] * norm[:, None, :]
-    return (inverses @ gradients[..., None])[..., 0], inverses
-
-
-def _mapped(matrix: Array, vectors: Array) -> Array:
-    """Return a 3x3 matrix applied to vectors of shape (3, ...)."""
-    mapped: Array = (matrix @ vectors.reshape(3, -1)).reshape(vectors.shape)
-    return mapped
+    there = diagonal > 0.0
+    norm = np.sqrt(np.where(there, diagonal, 1.0))[:, :, None]
+    scaled = normal_matrices / (norm * np.swapaxes(norm, 1, 2))
+    np.einsum("bii->bi", scaled)[...] += np.where(there, damping, 1.0)
+    sides = np.empty((*gradients.shape, 4))
+    sides[:, :, 0], sides[:, :, 1:] = gradients, _OF_PLACE
+    solved = np.linalg.solve(scaled, sides / norm) / norm
+    return solved[:, :, 0], solved[:, :3, 1:]
 
 
 @lru_cache(maxsize=256)
 def _sample(figure: Figure, counts: tuple[int, ...]) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return samples and directions of an outline in its unit square, and which are the first and last of a side."""
+    """Return samples and ways to the next ones, both homogeneous, (3, N), and which begin and which end a side."""
     if figure is Figure.CIRCLE:
         (samples,) = counts
         turn = np.arange(samples) * (2.0 * np.pi / samples)
-        points = np.column_stack([np.cos(turn), np.sin(turn)])
-        number = np.arange(samples)
-        return points, np.column_stack([-points[:, 1], points[:, 0]]), number == 0, number == samples - 1
+        cos, sin, number = np.cos(turn), np.sin(turn), np.arange(samples)
+        points, along = np.stack([cos, sin, np.ones(samples)]), np.stack([-sin, cos, np.zeros(samples)])
+        return points, along * (2.0 * np.pi / samples), number == 0, number == samples - 1
     corners = unit_corners(figure)
-    pieces, tangents, first, last = [], [], [], []
+    pieces, ways, first, last = [], [], [], []
     for start, end, count in zip(corners, np.roll(corners, -1, axis=0), counts, strict=True):
         share = np.linspace(_CORNER_SHARE, 1.0 - _CORNER_SHARE, count)[:, None]
         pieces.append(start + share * (end - start))
-        tangents.append(np.broadcast_to(end - start, (count, 2)))
+        ways.append(np.broadcast_to((1.0 - 2.0 * _CORNER_SHARE) / (count - 1) * (end - start), (count, 2)))
         number = np.arange(count)
         first.append(number == 0)
         last.append(number == count - 1)
-    return np.concatenate(pieces), np.concatenate(tangents), np.concatenate(first), np.concatenate(last)
+    count = sum(counts)
+    points = np.vstack([np.concatenate(pieces).T, np.ones(count)])
+    directions = np.vstack([np.concatenate(ways).T, np.zeros(count)])
+    return points, directions, np.concatenate(first), np.concatenate(last)
 
 
 def _counts(face: Face, samples: int, *, equal_sides: bool) -> tuple[int, ...]:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srvs_cell.vision.face_fit import FaceFit
+from srvs_cell.vision.levels import LevelNormal, by_level, of_stretches, over_offsets
 from srvs_cell.vision.outlines import Outlines, newton_steps
-from srvs_cell.vision.profiles import GROUPS, LEVELS, LEVELS_SEEN, USUAL_BLUR_PX, Pictures, Profiles, read_profiles
+from srvs_cell.vision.profiles import GROUPS, USUAL_BLUR_PX, Pictures, Profiles, read_profiles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,10 +49,10 @@ REACH = Effort((2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From a start a few pixels off."""
 SETTLE = Effort((1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From where the edges led."""
+_SAMPLES_AT_ONCE = 3072
+"""What is read along so many samples stays in the processor's cache."""
 _FOR_BLUR = 48
 """Samples that tell the blur."""
-_SIDE_SIGMA = 60.0
-"""Grey values by which a side face may differ from what lies behind it."""
 _ROBUST_SIGMA = 3.0
 _ROBUST_SHARE = 0.1
 """Share of a stretch's contrast that the picture may deviate from the model like noise."""
@@ -71,9 +72,6 @@ _FAINT_SHARE = 0.3
 """A sample of a faint border is judged by this share of the outline's usual steepness."""
 _LOST_PX = 2.0
 """What a sample counts at most whose profile is another border's."""
-_LEAST_RIDGE = 1e-6
-_TIE = np.outer([0.0, -0.5, 0.0, -0.5, 1.0], [0.0, -0.5, 0.0, -0.5, 1.0])
-"""A side face that is hidden has no level: it is held to that of the background."""
 
 
 def fit_profiles(
@@ -99,9 +97,22 @@ def fit_profiles(
         displacement of the borders that would cause the misfit, its ``support`` the share of the outline that is seen
         in both images.
     """
+    size = max(1, _SAMPLES_AT_ONCE // effort.samples)
+    batches = [slice(first, first + size) for first in range(0, len(starts), size)]
+    fits = [_fit_batch(starts[one], inclined[one], pictures, rig, table_z_mm, effort) for one in batches]
+    return [fit for batch in fits for fit in batch]
+
+
+def _fit_batch(
+    starts: Sequence[Face],
+    inclined: Sequence[bool],
+    pictures: Pictures,
+    rig: RectifiedRig,
+    table_z_mm: float,
+    effort: Effort,
+) -> list[FaceFit | None]:
+    """Fit a few faces, at least one, as `fit_profiles` does."""
     fits: list[FaceFit | None] = [None] * len(starts)
-    if not starts:
-        return fits
     outlines = Outlines.of(starts, inclined, effort.samples, equal_sides=True)
     alive, robust = np.arange(len(starts)), None
     for number, width in enumerate(effort.widths):
@@ -109,7 +120,7 @@ def fit_profiles(
         there = np.flatnonzero(borders.in_front)
         if there.size < alive.size:
             outlines, borders, alive = outlines.only(there), borders.only(there), alive[there]
-            robust = None if robust is None else robust[:, there]
+            robust = None if robust is None else robust[:, :, there]
         if there.size == 0:
             break
         profiles = read_profiles(outlines, borders, pictures, rig, table_z_mm, width * pictures.blur_px)
@@ -123,13 +134,16 @@ def fit_profiles(
             settled[:] = False
         if settled.any():
             rms_px, support, excess = _judged(profiles, explained, pictures.noise)
-            covariances = covariances[:, :3, :3] * (pictures.noise**2 * excess)[:, None, None]
-            faces = outlines.faces()
-            for one in np.flatnonzero(settled):
-                fits[alive[one]] = FaceFit(faces[one], covariances[one], float(rms_px[one]), float(support[one]))
+            covariances = covariances * (pictures.noise**2 * excess)[:, None, None]
+            done = np.flatnonzero(settled)
+            for one, face in zip(done, outlines.only(done).faces(), strict=True):
+                fits[alive[one]] = FaceFit(face, covariances[one], float(rms_px[one]), float(support[one]))
         going = np.flatnonzero(~settled)
-        outlines, alive = outlines.moved(steps).only(going), alive[going]
-        robust = explained.robust[:, going]
+        if going.size == 0:
+            break
+        outlines, robust = outlines.moved(steps), explained.robust
+        if going.size < alive.size:
+            outlines, alive, robust = outlines.only(going), alive[going], robust[:, :, going]
     return fits
 
 
@@ -149,14 +163,14 @@ def measure_blur(faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, t
 
 @dataclass(frozen=True, eq=False)
 class _Explained:
-    """Profiles explained by grey levels: B faces, T offsets, N samples in each of both images.
+    """Profiles explained by grey levels: T offsets, B faces, N samples in each of both images.
 
     Attributes:
-        residual: seen minus expected, shape (2, B, T, N).
+        residual: seen minus expected, shape (T, 2, B, N).
         robust: how much each value counts because it is explained, 0 to 1, the same shape.
         weights: the profiles' weights times that.
-        limit: what a residual may be like noise, shape (B, 1, N).
-        gradient: how the expected values change when the border moves outwards, shape (2, B, T, N).
+        limit: what a residual may be like noise, shape (B, N).
+        gradient: how the expected values change when the border moves outwards, shape (T, 2, B, N).
     """
 
     residual: NDArray[np.float32]
@@ -168,114 +182,60 @@ class _Explained:
     def energy(self, profiles: Profiles) -> Array:
         """Return the capped squared residuals of each face, shape (B,)."""
         capped = np.minimum(np.abs(self.residual), _CAPPED * self.limit)
-        return np.asarray((profiles.weights * capped**2).sum(axis=(0, 2, 3)), dtype=np.float64)
+        return np.asarray(over_offsets(profiles.weights * capped**2).sum(axis=(0, 2)), dtype=np.float64)
 
 
 def _explain(profiles: Profiles, noise: float, robust: NDArray[np.float32] | None = None) -> _Explained:
     """Estimate the grey levels of each stretch, robustly; ``robust``: how much the values counted when last judged."""
-    ridge = _ridge(noise)
     weights = profiles.weights if robust is None else profiles.weights * robust
     samples = profiles.grey.shape[-1] // GROUPS
     for _ in range(_LEVEL_PASSES if robust is None else 1):
-        weighted = profiles.by_level * weights
-        seen = _of_stretches((weighted * profiles.grey).sum(axis=-2))
-        levels = _solve(_level_products(weighted, profiles.by_level) + ridge, _stacked(seen)[:, None])[:, 0]
-        # of each sample: the three levels that an image shows, shape (3, 2, B, 1, N)
-        shown = levels[np.transpose(LEVELS_SEEN)].astype(np.float32)
-        shown = np.repeat(shown, samples, axis=-1)[..., None, :]
-        residual = profiles.grey - (shown * profiles.by_level).sum(axis=0)
-        spread = np.maximum(_ROBUST_SIGMA * noise, _ROBUST_SHARE * np.ptp(levels, axis=0))
-        limit = np.repeat(spread.astype(np.float32), samples, axis=-1)[:, None, :]
-        share = 1.0 / (1.0 + (residual / limit) ** 2) ** 2
+        seen = of_stretches(by_level(profiles, weights * profiles.grey))
+        levels = LevelNormal.of(profiles, weights, noise).levels(seen)
+        spread = np.maximum(_ROBUST_SIGMA * noise, _ROBUST_SHARE * (levels.max(axis=(0, 1)) - levels.min(axis=(0, 1))))
+        limit = spread.astype(np.float32).repeat(samples, axis=-1)
+        face, behind, side = levels.astype(np.float32).repeat(samples, axis=-1)
+        residual = profiles.grey - face
+        residual -= (side - face) * profiles.shares[0]
+        residual -= (behind - face) * profiles.shares[1]
+        share = residual / limit
+        share *= share
+        share += 1.0
+        share *= share
+        np.reciprocal(share, out=share)
         weights = profiles.weights * share
-    return _Explained(residual, share, weights, limit, (shown * profiles.slopes).sum(axis=0))
+    gradient = (behind - side) * profiles.side_slope
+    gradient += (side - face) * profiles.model.border_slope[:, None, None, None]
+    return _Explained(residual, share, weights, limit, gradient)
 
 
 def _solved(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array]:
-    """Return Gauss-Newton steps (B, 7) and unscaled covariances (B, 7, 7), the grey levels eliminated."""
+    """Return Gauss-Newton steps (B, 7) and unscaled covariances of the places (B, 3, 3), the grey levels eliminated."""
     # all values of a profile move together: sums over its offsets come first
     moved = profiles.by_parameter
     sloped = explained.weights * explained.gradient
-    steepness = (sloped * explained.gradient).sum(axis=-2)
-    pull = (sloped * explained.residual).sum(axis=-2)
-    by_level = (profiles.by_level * sloped).sum(axis=-2)
-    # by level and parameter, of each stretch, shape (5, 7, B, G)
-    cross = np.moveaxis(_stacked(_of_stretches(by_level[..., None, :] * moved)), 1, 2)
-    own = _level_products(profiles.by_level * explained.weights, profiles.by_level) + _ridge(noise)
-    normal = ((moved * steepness[..., None, :]) @ np.swapaxes(moved, -1, -2)).sum(axis=0)
-    normal -= np.einsum("lpbg,lqbg->bpq", cross, _solve(own, cross), optimize=True)
+    steepness = over_offsets(sloped * explained.gradient)
+    pull = over_offsets(sloped * explained.residual)
+    # by level and parameter, of each stretch, shape (3, 2, B, 7, G)
+    cross = of_stretches(by_level(profiles, sloped)[:, :, :, None] * moved.astype(np.float32))
+    taken = LevelNormal.of(profiles, explained.weights, noise).whitened(cross)
+    normal = ((moved * steepness[:, :, None]) @ moved.swapaxes(-1, -2)).sum(axis=0) - taken @ taken.swapaxes(-1, -2)
     vector = (moved @ pull[..., None])[..., 0].sum(axis=0)
     steps, covariances = newton_steps(normal, vector, _DAMPING)
-    return np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS), covariances
-
-
-def _of_stretches(by_sample: Array | NDArray[np.float32]) -> Array:
-    """Return sums over the samples of each stretch: (..., N) becomes (..., G)."""
-    samples = by_sample.shape[-1] // GROUPS
-    return np.asarray(by_sample @ np.repeat(np.eye(GROUPS, dtype=by_sample.dtype), samples, axis=0))
-
-
-def _stacked(by_image: Array) -> Array:
-    """Return sums by the three levels that each image shows, shape (3, 2, ...), by the five levels, (5, ...)."""
-    stacked = np.zeros((LEVELS, *by_image.shape[2:]))
-    for image, levels in enumerate(LEVELS_SEEN):
-        stacked[list(levels)] += by_image[:, image]
-    return stacked
-
-
-def _level_products(weighted: NDArray[np.float32], by_level: NDArray[np.float32]) -> Array:
-    """Return the normal matrices of the five levels of each stretch, shape (5, 5, B, G)."""
-    together = np.zeros((LEVELS, LEVELS, weighted.shape[2], GROUPS))
-    pairs = [(one, other) for one in range(len(weighted)) for other in range(one + 1)]
-    products = _of_stretches(np.stack([(weighted[one] * by_level[other]).sum(axis=-2) for one, other in pairs]))
-    for (one, other), by_image in zip(pairs, products, strict=True):
-        for image, levels in enumerate(LEVELS_SEEN):
-            together[levels[one], levels[other]] += by_image[image]
-            if one != other:
-                together[levels[other], levels[one]] += by_image[image]
-    return together
-
-
-def _solve(matrices: Array, right_sides: Array) -> Array:
-    """Solve many small positive definite systems at once: numpy's own solver takes a microsecond for each.
-
-    Args:
-        matrices: shape (K, K, ...); not kept.
-        right_sides: R of each, shape (K, R, ...).
-
-    Returns:
-        The solutions, shape (K, R, ...).
-    """
-    solved = right_sides.copy()
-    size = len(matrices)
-    for row in range(size):
-        pivot = matrices[row, row]
-        for below in range(row + 1, size):
-            factor = matrices[below, row] / pivot
-            matrices[below, row + 1 :] -= factor * matrices[row, row + 1 :]
-            solved[below] -= factor * solved[row]
-    for row in reversed(range(size)):
-        for beyond in range(row + 1, size):
-            solved[row] -= matrices[row, beyond] * solved[beyond]
-        solved[row] /= matrices[row, row]
-    return solved
-
-
-def _ridge(noise: float) -> Array:
-    ridge: Array = _TIE * (noise / _SIDE_SIGMA) ** 2 + np.eye(LEVELS) * _LEAST_RIDGE
-    return ridge[..., None, None]
+    return np.minimum(np.maximum(steps, -_STEP_LIMITS), _STEP_LIMITS), covariances
 
 
 def _judged(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array, Array]:
     """Return the misfit as a displacement, the seen share of the outline, the variance over the noise's; each (B,)."""
-    size = profiles.weights.sum(axis=-2)
-    squares = (profiles.weights * explained.residual**2).sum(axis=-2)
-    steepness = (profiles.weights * explained.gradient**2).sum(axis=-2)
-    usual = np.median(np.swapaxes(steepness, 0, 1).reshape(size.shape[1], -1), axis=1)[:, None]
+    size = over_offsets(profiles.weights)
+    squares = over_offsets(profiles.weights * explained.residual**2)
+    steepness = over_offsets(profiles.weights * explained.gradient**2)
+    middle = steepness.shape[2]
+    usual = np.sort(np.concatenate([*steepness], axis=1))[:, middle - 1 : middle + 1].mean(axis=1, keepdims=True)
     unexplained = np.maximum(squares - size * noise**2, 0.0)
     displaced2 = unexplained / np.maximum(np.maximum(steepness, _FAINT_SHARE * usual), _TINY)
     total = np.maximum(size.sum(axis=(0, 2)), _TINY)
     rms_px = np.sqrt((size * np.minimum(displaced2, _LOST_PX**2)).sum(axis=(0, 2)) / total)
-    seen = np.sqrt(_of_stretches(steepness)) > _SEEN_SIGMA * noise
+    seen = np.sqrt(of_stretches(steepness)) > _SEEN_SIGMA * noise
     excess = np.maximum(1.0, explained.energy(profiles) / (total * noise**2))
     return rms_px, seen.mean(axis=2).min(axis=0), excess

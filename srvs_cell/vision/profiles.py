@@ -8,6 +8,7 @@ table, so that a sliver of a pixel is told from the face itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import cv2
@@ -23,14 +24,11 @@ if TYPE_CHECKING:
 
 GROUPS = 12
 """Stretches of an outline that have grey levels of their own: three of a rectangle's side, two of a hexagon's."""
-LEVELS = 5
-"""Levels of a stretch: face and background in the left image, the same in the right one, side face in both."""
 USUAL_BLUR_PX = 0.85
-_OFFSETS_PX = np.arange(-4.0, 3.5, 1.0, dtype=np.float32)
+OFFSETS_PX = np.arange(-4.0, 3.5, 1.0, dtype=np.float32)
 """Where a profile is read, outwards from the border. Farther out the edge of a shadow would often be met."""
-_SEEN = 3
-LEVELS_SEEN = ((0, 1, 4), (2, 3, 4))
-"""Which of the levels the left and the right image show: face, background, side face."""
+_WIDTHS_PER_PX, _WIDEST_PX = 256, 12
+"""The visible widths of side faces that are told apart; beyond a profile's end they make no difference."""
 _MIN_SIGMA = 0.5
 _SPARSE = 4
 """Every so many rows are enough for a median of the whole picture."""
@@ -45,45 +43,73 @@ class Pictures:
     """Both rectified images as the fit needs them.
 
     Attributes:
-        images: left and right, float32, shape (H, W).
+        images: left and right, float32, shape (2, H, W).
         noise: standard deviation of the grey values.
         blur_px: standard deviation of the picture of a sharp border: lens, pixel and rectification.
     """
 
-    images: tuple[NDArray[np.float32], NDArray[np.float32]]
+    images: NDArray[np.float32]
     noise: float
     blur_px: float = USUAL_BLUR_PX
 
     @classmethod
     def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Pictures:
         """Take two rectified images and measure their noise by second differences along the rows."""
-        images = (left.astype(np.float32), right.astype(np.float32))
-        sparse = (image[::_SPARSE] for image in images)
-        bends = [np.abs(rows[:, :-2] - 2.0 * rows[:, 1:-1] + rows[:, 2:]) for rows in sparse]
+        images = np.stack([left, right]).astype(np.float32)
+        rows = images[:, ::_SPARSE]
+        bends = np.abs(rows[..., :-2] - 2.0 * rows[..., 1:-1] + rows[..., 2:])
         noise = max(float(np.median(bend)) * _MAD / _BEND for bend in bends)
         return cls(images, max(noise, _MIN_SIGMA))
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """What is expected across a border: face (1 - b) + side (b - e) + background e, with a stretch's grey levels.
+
+    Attributes:
+        face: the share 1 - b of the face itself, shape (T,).
+        border_slope: how b changes when the border moves outwards, per pixel, shape (T,).
+        by_width: b - e, the share e of what lies beyond the side face and how that changes, for each width of the side
+            face in steps of 1 / 256 px, shape (3, T, widths).
+    """
+
+    face: NDArray[np.float32]
+    border_slope: NDArray[np.float32]
+    by_width: NDArray[np.float32]
+
+    @classmethod
+    @lru_cache(maxsize=32)
+    def of(cls, blur_px: float) -> Model:
+        """Return the model with borders of a width, one standard deviation."""
+        widths_px = np.arange(_WIDEST_PX * _WIDTHS_PER_PX + 1) / _WIDTHS_PER_PX
+        place = (OFFSETS_PX[:, None] - widths_px) / blur_px
+        beyond, slope = ndtr(place), -_PEAK / blur_px * np.exp(-0.5 * place**2)
+        by_width = np.stack([beyond[:, :1] - beyond, beyond, slope]).astype(np.float32)
+        return cls((1.0 - beyond[:, 0]).astype(np.float32), by_width[2, :, 0], by_width)
 
 
 @dataclass(frozen=True, eq=False)
 class Profiles:
     """The profiles of B faces: T grey values across the outline at each of N samples in both images.
 
-    The samples are G stretches of as many each. Each image shows three grey levels of a stretch, `LEVELS_SEEN`. Values
-    are float32: twice as many pass at a time.
+    The samples are G stretches of as many each. Values are float32, offsets come first: sums over them are products
+    with matrices.
 
     Attributes:
-        grey: what was seen, shape (2, B, T, N).
-        weights: 0 outside of the image; less than 1 where samples lie closer than a pixel, shape (2, B, T, N).
-        by_level: what the model expects, by each of the three grey levels, shape (3, 2, B, T, N).
-        slopes: how that changes with the border's place, grey values per pixel outwards, the same shape.
+        grey: what was seen, shape (T, 2, B, N).
+        weights: 0 outside of the image; less than 1 where samples lie closer than a pixel, shape (T, 2, B, N).
+        model: what is expected.
+        shares: of the side face, b - e, and of what lies beyond it, e, shape (2, T, 2, B, N).
+        side_slope: how e changes when the border moves outwards, per pixel, shape (T, 2, B, N).
         by_parameter: how far the border at each sample moves outwards with the face's seven parameters, pixels, shape
             (2, B, 7, N).
     """
 
     grey: NDArray[np.float32]
     weights: NDArray[np.float32]
-    by_level: NDArray[np.float32]
-    slopes: NDArray[np.float32]
+    model: Model
+    shares: NDArray[np.float32]
+    side_slope: NDArray[np.float32]
     by_parameter: Array
 
 
@@ -100,35 +126,30 @@ def read_profiles(
         table_z_mm: height of the table, base frame: there the side faces end.
         blur_px: width of the model's borders, one standard deviation.
     """
-    x, y, normal_x, normal_y = (
-        part.astype(np.float32)[:, :, None, :]
-        for part in (borders.x_px, borders.y_px, borders.normal_x, borders.normal_y)
+    # x and y come first, shape (2, T, 2, B, N)
+    points, normals = (
+        np.moveaxis(each, 2, 0).astype(np.float32, order="C")[:, None] for each in (borders.points_px, borders.normals)
     )
-    offsets = _OFFSETS_PX[:, None]
-    places_x, places_y = x + normal_x * offsets, y + normal_y * offsets
-    height, width = pictures.images[0].shape
-    grey = np.empty(places_x.shape, dtype=np.float32)
-    flat = (places_x.shape[1], -1)
-    for eye, image in enumerate(pictures.images):
-        read = cv2.remap(
-            image,
-            places_x[eye].reshape(flat),
-            places_y[eye].reshape(flat),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        grey[eye] = read.reshape(grey[eye].shape)
-    inside = (places_x >= 0.0) & (places_x <= width - 1.0) & (places_y >= 0.0) & (places_y <= height - 1.0)
-    spacing_px = np.median(np.hypot(np.diff(x), np.diff(y)), axis=-1, keepdims=True)
+    places = normals * OFFSETS_PX[:, None, None, None]
+    places += points
+    _, height, width = pictures.images.shape
+    middle = (np.array([width, height], dtype=np.float32)[:, None, None, None, None] - 1.0) / 2.0
+    inside = (np.abs(places - middle) <= middle).all(axis=0)
+    # the right image lies under the left one
+    places[1, :, 1] += height
+    places_x, places_y = places.reshape(2, len(OFFSETS_PX), -1)
+    under = pictures.images.reshape(-1, width)
+    grey = cv2.remap(under, places_x, places_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     # as much of the side face shows as its foot lies outside of the face
-    feet_x, feet_y = outlines.feet_px(rig, table_z_mm)
-    out_px = (feet_x - borders.x_px) * borders.normal_x + (feet_y - borders.y_px) * borders.normal_y
-    side_px = np.maximum(out_px, 0.0).astype(np.float32)[:, :, None, :]
-    border, end = offsets / np.float32(blur_px), (offsets - side_px) / np.float32(blur_px)
-    beyond_border, beyond_end = ndtr(border), ndtr(end)
-    peak = np.float32(_PEAK / blur_px)
-    peak_border, peak_end = peak * np.exp(-0.5 * border**2), peak * np.exp(-0.5 * end**2)
-    by_level, slopes = (np.empty((_SEEN, *grey.shape), dtype=np.float32) for _ in range(2))
-    by_level[0], by_level[1], by_level[2] = 1.0 - beyond_border, beyond_end, beyond_border - beyond_end
-    slopes[0], slopes[1], slopes[2] = peak_border, -peak_end, peak_end - peak_border
-    return Profiles(grey, inside * np.minimum(spacing_px, np.float32(1.0)), by_level, slopes, borders.by_parameter)
+    steps = outlines.side_px(borders, rig, table_z_mm) * _WIDTHS_PER_PX + 0.5
+    model = Model.of(blur_px)
+    expected = np.take(model.by_width, steps.astype(np.intp), axis=2, mode="clip")
+    spacing = np.minimum(borders.spacing_px, 1.0).astype(np.float32)
+    return Profiles(
+        np.asarray(grey, dtype=np.float32).reshape(inside.shape),
+        inside * spacing,
+        model,
+        expected[:2],
+        expected[2],
+        borders.by_parameter,
+    )

@@ -68,6 +68,17 @@ class RectifiedRig:
         """The base frame in the left rectified camera's."""
         return self.base_T_camera.inverse()
 
+    @cached_property
+    def projections(self) -> Array:
+        """Projection matrices of the left and the right camera, base frame to homogeneous pixels, shape (2, 3, 4)."""
+        intrinsics = np.array([[self.f_px, 0.0, self.cx_px], [0.0, self.f_px, self.cy_px], [0.0, 0.0, 1.0]])
+        cameras = np.empty((2, 3, 4))
+        cameras[..., :3] = self.camera_T_base.rotation
+        cameras[..., 3] = self.camera_T_base.translation_mm
+        cameras[1, 0, 3] -= self.baseline_mm
+        projections: Array = intrinsics @ cameras
+        return projections
+
     def plane_disparity(self, normal: Array, offset_mm: float) -> tuple[float, float, float]:
         """Return (a, b, c) of the disparity d = a x + b y + c that the plane ``normal . P = offset_mm`` has.
 

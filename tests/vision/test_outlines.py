@@ -21,25 +21,26 @@ def test_faces_come_back_as_they_went_in() -> None:
 def test_every_outline_has_its_samples_on_the_figure() -> None:
     outlines = Outlines.of(FACES, INCLINED, 48)
     points = outlines.points_mm()
-    assert points.shape == (3, 4, 48)
+    assert points.shape == (4, 3, 48)
     for number, face in enumerate(FACES):
-        placed = face.place(outlines.unit[:, number].T)
-        assert points[:, number] == pytest.approx(placed.T)
+        placed = face.place(outlines.unit[number, :2].T)
+        assert points[number] == pytest.approx(placed.T)
     assert (outlines.first.sum(axis=1) == [4, 4, 1, 6]).all()
 
 
 def test_outlines_are_seen_where_the_cameras_project_them() -> None:
     outlines, cameras = Outlines.of(FACES, INCLINED, 48), rig()
     borders = outlines.seen(cameras)
-    x, y, disparity = cameras.project_px(np.moveaxis(outlines.points_mm(), 0, -1))
-    assert borders.x_px == pytest.approx(np.stack([x, x - disparity]))
-    assert borders.y_px == pytest.approx(np.stack([y, y]))
-    assert np.hypot(borders.normal_x, borders.normal_y) == pytest.approx(np.ones((2, 4, 48)))
-    from_middle = (
-        borders.x_px - borders.x_px.mean(axis=-1, keepdims=True),
-        borders.y_px - borders.y_px.mean(axis=-1, keepdims=True),
-    )
-    assert (from_middle[0] * borders.normal_x + from_middle[1] * borders.normal_y > 0.0).all()
+    x, y, disparity = cameras.project_px(np.moveaxis(outlines.points_mm(), 1, -1))
+    assert borders.points_px[:, :, 0] == pytest.approx(np.stack([x, x - disparity]))
+    assert borders.points_px[:, :, 1] == pytest.approx(np.stack([y, y]))
+    assert np.hypot(*np.moveaxis(borders.normals, 2, 0)) == pytest.approx(np.ones((2, 4, 48)))
+    from_middle = borders.points_px - borders.points_px.mean(axis=-1, keepdims=True)
+    assert ((from_middle * borders.normals).sum(axis=2) > 0.0).all()
+    # perspective spaces the samples of a side a little unevenly
+    apart = np.hypot(*np.moveaxis(np.diff(borders.points_px), 2, 0))
+    inner = ~outlines.last[:, :-1]
+    assert borders.spacing_px[:, :, :-1][:, inner] == pytest.approx(apart[:, inner], rel=0.02)
     assert borders.in_front.all()
 
 
@@ -51,18 +52,19 @@ def test_derivatives_are_those_of_the_samples_along_the_normals() -> None:
         step = np.zeros((4, 7))
         step[:, parameter] = 1e-5
         ahead, behind = outlines.moved(step).seen(cameras), outlines.moved(-step).seen(cameras)
-        moved_x, moved_y = (ahead.x_px - behind.x_px) / 2e-5, (ahead.y_px - behind.y_px) / 2e-5
-        outwards = moved_x * borders.normal_x + moved_y * borders.normal_y
+        moved = (ahead.points_px - behind.points_px) / 2e-5
+        outwards = (moved * borders.normals).sum(axis=2)
         assert borders.by_parameter[:, :, parameter] == pytest.approx(outwards, abs=1e-5)
 
 
 def test_the_points_of_the_table_under_an_outline_are_seen_where_they_lie() -> None:
     outlines, cameras = Outlines.of(FACES, INCLINED, 48), rig()
-    feet = np.moveaxis(outlines.points_mm(), 0, -1) * (1.0, 1.0, 0.0) + (0.0, 0.0, 5.0)
+    borders = outlines.seen(cameras)
+    feet = np.moveaxis(outlines.points_mm(), 1, -1) * (1.0, 1.0, 0.0) + (0.0, 0.0, 5.0)
     x, y, disparity = cameras.project_px(feet)
-    feet_x, feet_y = outlines.feet_px(cameras, 5.0)
-    assert feet_x == pytest.approx(np.stack([x, x - disparity]))
-    assert feet_y == pytest.approx(np.stack([y, y]))
+    away = np.stack([np.stack([x, y], axis=1), np.stack([x - disparity, y], axis=1)]) - borders.points_px
+    expected = (away * borders.normals).sum(axis=2)
+    assert outlines.side_px(borders, cameras, 5.0) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_figure_behind_the_cameras_is_told() -> None:
