@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     FixedMap = tuple[NDArray[np.int16], NDArray[np.uint16]]
 
 _COLOUR_DIMENSIONS = 3
+_AROUND_PX = 9
+"""So wide is what smoothing and slopes make a pixel of."""
 _KEPT_MAPS = 2
 """A cell looks from one place again and again; an early analysis of the left image has maps of its own."""
 _HALF_SAMPLE = np.array([[-1, 4, -11, 40, 40, -11, 4, -1]], dtype=np.float32) / 64.0
@@ -173,6 +175,16 @@ class RectifiedPair:
     right_valid: NDArray[np.bool_]
     rig: RectifiedRig
 
+    @cached_property
+    def well_inside(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Where the left and the right image saw what is around a pixel too: 1, else 0, uint8, shape (H, W)."""
+        square = np.ones((_AROUND_PX, _AROUND_PX), np.uint8)
+        left, right = (
+            np.asarray(cv2.erode(valid.view(np.uint8), square, borderValue=0), dtype=np.uint8)
+            for valid in (self.left_valid, self.right_valid)
+        )
+        return left, right
+
 
 def rectification_maps(
     calibration: Calibration, base_T_tcp_left: Transform, base_T_tcp_right: Transform
@@ -296,8 +308,9 @@ def doubled(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
     across, down = (_HALF_SAMPLE_ANCHOR, 0), (0, _HALF_SAMPLE_ANCHOR)
     beside = cv2.filter2D(grey, cv2.CV_8U, _HALF_SAMPLE, anchor=across, borderType=border)
     rows = np.empty((height, 2, 2 * width), dtype=np.uint8)
-    rows[:, 0] = cv2.merge([grey, beside]).reshape(height, -1)
-    rows[:, 1] = cv2.filter2D(rows[:, 0], cv2.CV_8U, _HALF_SAMPLE.T, anchor=down, borderType=border)
+    above, below = rows[:, 0], rows[:, 1]
+    cv2.merge([grey, beside], dst=above.reshape(height, width, 2))
+    cv2.filter2D(above, cv2.CV_8U, _HALF_SAMPLE.T, dst=below, anchor=down, borderType=border)
     return rows.reshape(2 * height, 2 * width)
 
 

@@ -46,7 +46,6 @@ _LEAST_CALM = 0.05
 _LEAST_SPREAD = 0.05
 _RIDGE = 1.0
 """Squared grey values: next to nothing, but where all is black no share is told."""
-_BORDER_PX = 9
 _WINDOW_PX = 5
 _NOISE_FACTOR = 4.5
 """Mean squared difference of a window over the noise's, from which on it is no noise."""
@@ -92,10 +91,7 @@ def measure_relief(
     left, right = smoothed.left, smoothed.right
     map_x, map_y = _laid_by_table(pair, table_z_mm, reference)
     laid = cv2.remap(right, map_x, map_y, cv2.INTER_LINEAR)
-    kernel = np.ones((_BORDER_PX, _BORDER_PX), np.uint8)
-    seen_left, seen_right = (
-        cv2.erode(seen.view(np.uint8), kernel, borderValue=0) for seen in (pair.left_valid, pair.right_valid)
-    )
+    seen_left, seen_right = pair.well_inside
     laid_right = cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)
     valid = np.asarray(cv2.bitwise_and(seen_left, laid_right), dtype=np.uint8).view(np.bool_)
     difference = _as_float(cv2.subtract(left, laid, dst=laid))

@@ -30,7 +30,6 @@ _SCALE = 2
 """The images are halved: that smooths the noise, and the table's texture is coarser."""
 _BLOCK = 16
 """Side of a block in pixels of the halved image."""
-_BORDER_PX = 9
 _SOBEL = 8.0 * _SCALE
 """What a 3x3 Sobel operator makes of a grey value per pixel of the full image."""
 _NOISE_FACTOR = 1.6
@@ -217,11 +216,7 @@ class _Grid:
         a, b, c = pair.rig.plane_disparity(_UP, table_z_mm)
         map_x = _as_float((1.0 - a) * column - c / _SCALE) - _as_float(b * row)
         map_y = _as_float(np.broadcast_to(row, map_x.shape))
-        kernel = np.ones((_BORDER_PX, _BORDER_PX), np.uint8)
-        seen_left, seen_right = (
-            cv2.erode(valid.view(np.uint8), kernel, borderValue=0)[::_SCALE, ::_SCALE]
-            for valid in (pair.left_valid, pair.right_valid)
-        )
+        seen_left, seen_right = (seen[::_SCALE, ::_SCALE] for seen in pair.well_inside)
         laid_right = cv2.remap(seen_right, map_x, map_y, cv2.INTER_NEAREST, borderValue=0)
         whole = _means(_as_float(np.minimum(seen_left[:height, :width], laid_right)), shape) == 1.0
         slope_x, slope_y = (
