@@ -9,6 +9,7 @@ cancel between neighbours and never average out (references/vision.md C, systema
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,13 +60,18 @@ class ErrorBudget:
     tcp_in_camera_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
+    @cached_property
+    def camera_T_base(self) -> Transform:
+        """The base frame in the left rectified camera's."""
+        return self.base_T_camera.inverse()
+
     def jacobian(self, point_mm: ArrayLike) -> Array:
         """Return the derivative of estimated points by each cause: shape (..., 3, 18), millimetres per unit.
 
         Args:
             point_mm: points in the base frame, shape (..., 3).
         """
-        points = self.base_T_camera.inverse().apply(np.asarray(point_mm, dtype=np.float64))[..., None, :]
+        points = self.camera_T_base.apply(np.asarray(point_mm, dtype=np.float64))[..., None, :]
         steps = np.array([_STEPS[unit] for unit in _units()])
         errors = np.diag(steps)
         moved = self._estimate(points, np.concatenate([errors, -errors]))

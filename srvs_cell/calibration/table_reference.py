@@ -171,7 +171,7 @@ class TableReference:
         """Return how a triangulated point moves with each error, shape (3, 18), base frame."""
         by_cause = self.budget.jacobian(point_mm)
         by_x, by_y, by_disparity = by_cause[:, :_RANDOM_CAUSES].T
-        camera = self.budget.base_T_camera.inverse().apply(np.asarray(point_mm, dtype=np.float64))
+        camera = self.budget.camera_T_base.apply(np.asarray(point_mm, dtype=np.float64))
         x, y = camera[:2] / camera[2]
         x_right = x - self.budget.baseline_mm / camera[2]
         columns = [by_cause[:, _RANDOM_CAUSES:]]

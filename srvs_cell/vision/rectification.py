@@ -60,7 +60,7 @@ class RectifiedRig:
     tcp_in_camera_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
-    @property
+    @cached_property
     def error_budget(self) -> ErrorBudget:
         """How uncertain a triangulated point is."""
         return ErrorBudget(self.f_px, self.baseline_mm, self.base_T_camera, self.tcp_in_camera_mm, self.uncertainty)
