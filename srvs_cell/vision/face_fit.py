@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.outlines import Outlines, newton_steps
+from srvs_cell.vision.outlines import Outlines, batches, newton_steps
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,15 +103,16 @@ class EdgeField:
             offsets_px: shape (T,).
 
         Returns:
-            float32, shape (B, T, N).
+            float32, shape (T, B, N).
         """
-        points, across = (np.moveaxis(each, 1, 0).astype(np.float32)[:, :, None] for each in (points_px, normals))
-        places = across * offsets_px[:, None]
-        places += points
-        places_x, places_y = places.reshape(2, len(points_px), -1)
+        # x and y come first
+        points, across = (each.transpose(1, 0, 2).astype(np.float32, order="C") for each in (points_px, normals))
+        places = across[:, None] * offsets_px[:, None, None]
+        places += points[:, None]
+        places_x, places_y = places.reshape(2, len(offsets_px), -1)
         seen = cv2.remap(self.gradient, places_x, places_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        seen_x, seen_y = np.moveaxis(seen.reshape(*places.shape[1:], 2), -1, 0)
-        return np.asarray(seen_x * across[0] + seen_y * across[1], dtype=np.float32)
+        both = seen.reshape(*places.shape[1:], 2)
+        return np.asarray(both[..., 0] * across[0] + both[..., 1] * across[1], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,9 +166,23 @@ def fit_faces(
     Returns:
         For each start the fit, or None where the outline leaves the view or the edges do not determine it.
     """
+    fits = [
+        _fit_batch(starts[some], inclined[some], fields, rig, effort, min_gradient)
+        for some in batches(len(starts), effort.samples)
+    ]
+    return [fit for batch in fits for fit in batch]
+
+
+def _fit_batch(
+    starts: Sequence[Face],
+    inclined: Sequence[bool],
+    fields: tuple[EdgeField, EdgeField],
+    rig: RectifiedRig,
+    effort: Effort,
+    min_gradient: float,
+) -> list[FaceFit | None]:
+    """Fit a few faces, at least one, as `fit_faces` does."""
     fits: list[FaceFit | None] = [None] * len(starts)
-    if not starts:
-        return fits
     outlines = Outlines.of(starts, inclined, effort.samples)
     borders = outlines.seen(rig)
     alive = np.flatnonzero(borders.in_front)
@@ -225,7 +240,8 @@ def _linearise(
     normal_matrices = (weighted @ np.swapaxes(borders.by_parameter, -1, -2)).sum(axis=0)
     gradients = (weighted @ distance[..., None])[..., 0].sum(axis=0)
     steps, covariances = newton_steps(normal_matrices, gradients, _DAMPING)
-    return _Linearised(np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS), covariances, distance, there)
+    steps = np.minimum(np.maximum(steps, -_STEP_LIMITS), _STEP_LIMITS)
+    return _Linearised(steps, covariances, distance, there)
 
 
 def _edges(
@@ -259,29 +275,32 @@ def _edges(
     )
     size = np.abs(_averaged(size, outlines))
     # an edge is a local maximum, so that the flank of one beyond the window does not count
-    inner = size[..., 1:-1, :]
-    peak = (inner >= size[..., :-2, :]) & (inner > size[..., 2:, :])
-    strongest = (inner * peak).max(axis=-2)
+    inner = size[:, 1:-1]
+    peak = (inner >= size[:, :-2]) & (inner > size[:, 2:])
+    strongest = (inner * peak).max(axis=1)
     clear = _TEXTURE_FACTOR * textures[..., None]
     needed = np.maximum(min_gradient, np.minimum(clear, _CLEAR_SHARE * strongest))
     # walking outwards from inside the face its own edge comes first; side face and shadow lie beyond it
-    peak &= inner >= needed[..., None, :].astype(np.float32)
-    best = peak.argmax(axis=-2)[..., None, :]
-    found = peak.any(axis=-2)
-    before, at, after = (np.take_along_axis(size, best + ahead, axis=-2)[..., 0, :] for ahead in range(3))
+    peak &= inner >= needed[:, None].astype(np.float32)
+    count = inner.shape[1]
+    ahead = (peak * np.arange(count, 0, -1, dtype=np.uint8)[:, None, None]).max(axis=1)
+    found, best = ahead > 0, count - np.maximum(ahead, 1).astype(np.intp)
+    eye, figure, sample = np.ogrid[: len(best), : best.shape[1], : best.shape[2]]
+    before, at, after = (size[eye, best + step, figure, sample] for step in range(3))
     curvature = np.minimum(before - 2.0 * at + after, -_FLAT)
-    place = offsets[best[..., 0, :] + 1] + np.clip(0.5 * (before - after) / curvature, -0.5, 0.5) * step_px
-    return np.where(found, place, 0.0), np.asarray(found, dtype=np.bool_)
+    shift = np.minimum(np.maximum(0.5 * (before - after) / curvature, -0.5), 0.5)
+    return np.where(found, offsets[best + 1] + shift * step_px, 0.0), found
 
 
 def _averaged(profiles: NDArray[np.float32], outlines: Outlines) -> NDArray[np.float32]:
-    """Average each profile, shape (2, B, T, N), with its neighbours on the same side, weights 1 2 1, against noise."""
-    total = 2.0 * profiles
-    total[..., 1:] += np.where(outlines.first[:, None, 1:], profiles[..., 1:], profiles[..., :-1])
-    total[..., :-1] += np.where(outlines.last[:, None, :-1], profiles[..., :-1], profiles[..., 1:])
-    total[..., [0, -1]] += profiles[..., [0, -1]]
-    total *= 0.25
-    return total
+    """Average profiles, shape (2, T, B, N), with their neighbours on the same side, weights 1 2 1, against noise."""
+    # at a side's end the sample itself takes the missing neighbour's place
+    share = np.where(outlines.last[:, :-1], np.float32(0.0), np.float32(0.25))
+    step = (profiles[..., 1:] - profiles[..., :-1]) * share
+    averaged = profiles.copy()
+    averaged[..., :-1] += step
+    averaged[..., 1:] -= step
+    return averaged
 
 
 def _textures(borders: Borders, fields: tuple[EdgeField, EdgeField]) -> Array:
@@ -294,7 +313,7 @@ def _textures(borders: Borders, fields: tuple[EdgeField, EdgeField]) -> Array:
         # the samples drawn towards the middle, one share after the other
         inside = np.concatenate([middle + share * rays for share in _INSIDE], axis=2)
         directions = np.tile(rays / length, len(_INSIDE))
-        size = np.abs(field.along_normals(inside, directions, np.zeros(1, dtype=np.float32)))[:, 0]
+        size = np.abs(field.along_normals(inside, directions, np.zeros(1, dtype=np.float32)))[0]
         rank = round(_TEXTURE_QUANTILE * (size.shape[1] - 1))
         found.append(np.partition(size, rank, axis=1)[:, rank])
     return np.stack(found)

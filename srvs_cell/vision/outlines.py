@@ -29,6 +29,7 @@ _CORNER_SHARE = 0.1
 _MIN_SIZE_MM = 3.0
 _SIDE_SAMPLES_MIN = 6
 _NEAREST_MM = 1.0
+_SAMPLES_AT_ONCE = 3072
 _TINY = float(np.finfo(float).tiny)
 _LENGTH, _ANGLE, _WIDTH, _SLOPE = 3, 4, 5, 6
 """Places of the parameters behind x, y and z."""
@@ -79,7 +80,7 @@ class Outlines:
         free: which of them may change, bool, shape (B, 7).
         unit: the samples in the figure's own unit square [-1, 1], homogeneous (u, v, 1), shape (B, 3, N).
         ways: from there to the next sample, counter-clockwise from above, (u, v, 0), shape (B, 3, N).
-        first, last: whether a sample is the first or last of its side, bool, shape (B, N).
+        last: whether a sample is the last of its side, bool, shape (B, N).
     """
 
     figures: tuple[Figure, ...]
@@ -87,7 +88,6 @@ class Outlines:
     free: NDArray[np.bool_]
     unit: Array
     ways: Array
-    first: NDArray[np.bool_]
     last: NDArray[np.bool_]
 
     @classmethod
@@ -103,7 +103,7 @@ class Outlines:
             equal_sides: whether each side has as many samples, instead of as many as its length asks for.
         """
         sampled = [_sample(face.figure, _counts(face, samples, equal_sides=equal_sides)) for face in faces]
-        unit, ways, first, last = (np.stack(parts) for parts in zip(*sampled, strict=True))
+        unit, ways, last = (np.stack(parts) for parts in zip(*sampled, strict=True))
         values = np.array(
             [
                 (face.x_mm, face.y_mm, face.z_mm, face.length_mm, face.angle_rad, face.width_mm, face.slope_u)
@@ -115,7 +115,7 @@ class Outlines:
         free[:, _ANGLE] = [face.figure is not Figure.CIRCLE for face in faces]
         free[:, _WIDTH] = rectangle
         free[:, _SLOPE] = rectangle & np.array(inclined)
-        return cls(tuple(face.figure for face in faces), values, free, unit, ways, first, last)
+        return cls(tuple(face.figure for face in faces), values, free, unit, ways, last)
 
     def faces(self) -> list[Face]:
         """Return the figures as faces."""
@@ -132,7 +132,6 @@ class Outlines:
             self.free[kept],
             self.unit[kept],
             self.ways[kept],
-            self.first[kept],
             self.last[kept],
         )
 
@@ -214,6 +213,12 @@ class Outlines:
         return changes
 
 
+def batches(starts: int, samples: int) -> list[slice]:
+    """Return which of many outlines are fitted together: what is read along them stays in the processor's cache."""
+    size = max(1, _SAMPLES_AT_ONCE // samples)
+    return [slice(first, first + size) for first in range(0, starts, size)]
+
+
 def newton_steps(normal_matrices: Array, gradients: Array, damping: float) -> tuple[Array, Array]:
     """Return damped Gauss-Newton steps of B figures and the covariances of their places.
 
@@ -238,27 +243,25 @@ def newton_steps(normal_matrices: Array, gradients: Array, damping: float) -> tu
 
 
 @lru_cache(maxsize=256)
-def _sample(figure: Figure, counts: tuple[int, ...]) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return samples and ways to the next ones, both homogeneous, (3, N), and which begin and which end a side."""
+def _sample(figure: Figure, counts: tuple[int, ...]) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return samples and ways to the next ones, both homogeneous, (3, N), and which end a side."""
     if figure is Figure.CIRCLE:
         (samples,) = counts
         turn = np.arange(samples) * (2.0 * np.pi / samples)
-        cos, sin, number = np.cos(turn), np.sin(turn), np.arange(samples)
+        cos, sin = np.cos(turn), np.sin(turn)
         points, along = np.stack([cos, sin, np.ones(samples)]), np.stack([-sin, cos, np.zeros(samples)])
-        return points, along * (2.0 * np.pi / samples), number == 0, number == samples - 1
+        return points, along * (2.0 * np.pi / samples), np.arange(samples) == samples - 1
     corners = unit_corners(figure)
-    pieces, ways, first, last = [], [], [], []
+    pieces, ways, last = [], [], []
     for start, end, count in zip(corners, np.roll(corners, -1, axis=0), counts, strict=True):
         share = np.linspace(_CORNER_SHARE, 1.0 - _CORNER_SHARE, count)[:, None]
         pieces.append(start + share * (end - start))
         ways.append(np.broadcast_to((1.0 - 2.0 * _CORNER_SHARE) / (count - 1) * (end - start), (count, 2)))
-        number = np.arange(count)
-        first.append(number == 0)
-        last.append(number == count - 1)
+        last.append(np.arange(count) == count - 1)
     count = sum(counts)
     points = np.vstack([np.concatenate(pieces).T, np.ones(count)])
     directions = np.vstack([np.concatenate(ways).T, np.zeros(count)])
-    return points, directions, np.concatenate(first), np.concatenate(last)
+    return points, directions, np.concatenate(last)
 
 
 def _counts(face: Face, samples: int, *, equal_sides: bool) -> tuple[int, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from srvs_cell.vision.face_fit import FaceFit
 from srvs_cell.vision.levels import LevelNormal, by_level, of_stretches, over_offsets
-from srvs_cell.vision.outlines import Outlines, newton_steps
+from srvs_cell.vision.outlines import Outlines, batches, newton_steps
 from srvs_cell.vision.profiles import GROUPS, USUAL_BLUR_PX, Pictures, Profiles, read_profiles
 
 if TYPE_CHECKING:
@@ -49,8 +49,6 @@ REACH = Effort((2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From a start a few pixels off."""
 SETTLE = Effort((1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From where the edges led."""
-_SAMPLES_AT_ONCE = 3072
-"""What is read along so many samples stays in the processor's cache."""
 _FOR_BLUR = 48
 """Samples that tell the blur."""
 _ROBUST_SIGMA = 3.0
@@ -97,9 +95,10 @@ def fit_profiles(
         displacement of the borders that would cause the misfit, its ``support`` the share of the outline that is seen
         in both images.
     """
-    size = max(1, _SAMPLES_AT_ONCE // effort.samples)
-    batches = [slice(first, first + size) for first in range(0, len(starts), size)]
-    fits = [_fit_batch(starts[one], inclined[one], pictures, rig, table_z_mm, effort) for one in batches]
+    fits = [
+        _fit_batch(starts[some], inclined[some], pictures, rig, table_z_mm, effort)
+        for some in batches(len(starts), effort.samples)
+    ]
     return [fit for batch in fits for fit in batch]
 
 

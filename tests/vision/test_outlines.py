@@ -25,7 +25,7 @@ def test_every_outline_has_its_samples_on_the_figure() -> None:
     for number, face in enumerate(FACES):
         placed = face.place(outlines.unit[number, :2].T)
         assert points[number] == pytest.approx(placed.T)
-    assert (outlines.first.sum(axis=1) == [4, 4, 1, 6]).all()
+    assert (outlines.last.sum(axis=1) == [4, 4, 1, 6]).all()
 
 
 def test_outlines_are_seen_where_the_cameras_project_them() -> None:
