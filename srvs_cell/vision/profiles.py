@@ -27,8 +27,8 @@ GROUPS = 12
 USUAL_BLUR_PX = 0.85
 OFFSETS_PX = np.arange(-4.0, 3.5, 1.0, dtype=np.float32)
 """Where a profile is read, outwards from the border. Farther out the edge of a shadow would often be met."""
-_WIDTHS_PER_PX, _WIDEST_PX = 256, 12
-"""The visible widths of side faces that are told apart; beyond a profile's end they make no difference."""
+_WIDTHS_PER_PX, _WIDEST_PX = 64, 12
+"""The visible widths of side faces that are looked up; beyond a profile's end they make no difference."""
 _MIN_SIGMA = 0.5
 _SPARSE = 4
 """Every so many rows are enough for a median of the whole picture."""
@@ -70,7 +70,7 @@ class Model:
         face: the share 1 - b of the face itself, shape (T,).
         border_slope: how b changes when the border moves outwards, per pixel, shape (T,).
         by_width: b - e, the share e of what lies beyond the side face and how that changes, for each width of the side
-            face in steps of 1 / 256 px, shape (3, T, widths).
+            face in steps, shape (3, T, widths).
     """
 
     face: NDArray[np.float32]
@@ -86,6 +86,17 @@ class Model:
         beyond, slope = ndtr(place), -_PEAK / blur_px * np.exp(-0.5 * place**2)
         by_width = np.stack([beyond[:, :1] - beyond, beyond, slope]).astype(np.float32)
         return cls((1.0 - beyond[:, 0]).astype(np.float32), by_width[2, :, 0], by_width)
+
+    def at(self, widths_px: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return b - e and e, shape (2, T, ...), and how e changes, (T, ...), where side faces are seen so wide."""
+        steps = np.rint(widths_px * _WIDTHS_PER_PX)
+        expected = np.take(self.by_width, steps.astype(np.intp), axis=2)
+        shares, slope = expected[:2], expected[2]
+        # from the nearest width to the very one
+        change = slope * (widths_px - steps / _WIDTHS_PER_PX).astype(np.float32)
+        shares[0] -= change
+        shares[1] += change
+        return shares, slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,15 +152,14 @@ def read_profiles(
     under = pictures.images.reshape(-1, width)
     grey = cv2.remap(under, places_x, places_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     # as much of the side face shows as its foot lies outside of the face
-    steps = outlines.side_px(borders, rig, table_z_mm) * _WIDTHS_PER_PX + 0.5
     model = Model.of(blur_px)
-    expected = np.take(model.by_width, steps.astype(np.intp), axis=2, mode="clip")
+    shares, side_slope = model.at(np.minimum(np.maximum(outlines.side_px(borders, rig, table_z_mm), 0.0), _WIDEST_PX))
     spacing = np.minimum(borders.spacing_px, 1.0).astype(np.float32)
     return Profiles(
         np.asarray(grey, dtype=np.float32).reshape(inside.shape),
         inside * spacing,
         model,
-        expected[:2],
-        expected[2],
+        shares,
+        side_slope,
         borders.by_parameter,
     )

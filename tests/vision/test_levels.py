@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from srvs_cell.vision.levels import LevelNormal, by_level, of_stretches
 from srvs_cell.vision.profiles import GROUPS, OFFSETS_PX, Model, Profiles
@@ -24,9 +25,9 @@ def profiles(widths_px: Array) -> Profiles:
     random = np.random.default_rng(1)
     model = Model.of(0.85)
     shape = (len(OFFSETS_PX), 2, FACES, SAMPLES)
-    expected = np.take(model.by_width, np.rint(256 * widths_px).astype(int), axis=2)
+    shares, slope = model.at(widths_px)
     grey, weights = (random.uniform(0.0, most, shape).astype(np.float32) for most in (255.0, 1.0))
-    return Profiles(grey, weights, model, expected[:2], expected[2], np.zeros((2, FACES, 7, SAMPLES)))
+    return Profiles(grey, weights, model, shares, slope, np.zeros((2, FACES, 7, SAMPLES)))
 
 
 def columns(seen: Profiles, eye: int, face: int, samples: slice) -> Array:
@@ -68,10 +69,12 @@ def test_levels_and_what_they_explain_are_those_of_the_least_squares(widths_px: 
 
 def test_the_model_shares_each_value_out_and_knows_how_it_moves() -> None:
     model = Model.of(0.7)
-    side, behind, slope = model.by_width
+    widths_px = np.linspace(0.0, 12.0, 1201)
+    (side, behind), slope = model.at(widths_px)
     total = model.face[:, None] + side + behind
     assert total == pytest.approx(np.ones(total.shape), abs=1e-6)
+    assert behind == pytest.approx(ndtr((OFFSETS_PX[:, None] - widths_px) / 0.7), abs=1e-4)
     # a border that moves outwards by a step is what a side face wider by that step ends in
-    assert slope[:, 1:-1] == pytest.approx((behind[:, 2:] - behind[:, :-2]) * 128.0, abs=2e-4)
-    assert side[:, 0] == pytest.approx(np.zeros(len(OFFSETS_PX)))
+    assert slope == pytest.approx(np.gradient(behind, 0.01, axis=1), abs=0.01)
+    assert not side[:, 0].any()
     assert Model.of(0.7) is model
