@@ -141,6 +141,23 @@ class Outlines:
         values[:, [_LENGTH, _WIDTH]] = np.maximum(values[:, [_LENGTH, _WIDTH]], _MIN_SIZE_MM)
         return replace(self, values=values)
 
+    def room_above(self, z_mm: float) -> tuple[Array, Array]:
+        """Return how far each figure's lowest corner is above a height, and how that changes with the parameters.
+
+        The low side of a wedge may lie on the table, where it has next to no border of its own; but it is never below.
+        Figures that are held level have room enough.
+
+        Returns:
+            Millimetres, shape (B,), and derivatives, shape (B, 7).
+        """
+        inclined = self.free[:, _SLOPE]
+        half_mm, slope = self.values[:, _LENGTH] / 2.0, self.values[:, _SLOPE]
+        by_parameter = np.zeros_like(self.values)
+        by_parameter[:, 2], by_parameter[:, _LENGTH] = 1.0, -np.abs(slope) / 2.0
+        by_parameter[:, _SLOPE] = -np.sign(slope) * half_mm
+        room_mm = np.where(inclined, self.values[:, 2] - np.abs(slope) * half_mm - z_mm, np.inf)
+        return room_mm, by_parameter * inclined[:, None]
+
     def points_mm(self) -> Array:
         """Return the samples in the base frame, shape (B, 3, N)."""
         points: Array = self._placements()[:, :3] @ self.unit
@@ -219,13 +236,18 @@ def batches(starts: int, samples: int) -> list[slice]:
     return [slice(first, first + size) for first in range(0, starts, size)]
 
 
-def newton_steps(normal_matrices: Array, gradients: Array, damping: float) -> tuple[Array, Array]:
+def newton_steps(
+    normal_matrices: Array, gradients: Array, damping: float, room: tuple[Array, Array] | None = None
+) -> tuple[Array, Array]:
     """Return damped Gauss-Newton steps of B figures and the covariances of their places.
+
+    A step that leaves the room is replaced by the likeliest one that does not.
 
     Args:
         normal_matrices: shape (B, 7, 7); what is held has neither row nor column.
         gradients: shape (B, 7).
         damping: what is added to the diagonal of each matrix when its parameters are scaled to 1.
+        room: see `Outlines.room_above`; None for no limit.
 
     Returns:
         Steps, shape (B, 7), and of x, y and z the inverses of the normal matrices, shape (B, 3, 3).
@@ -236,10 +258,19 @@ def newton_steps(normal_matrices: Array, gradients: Array, damping: float) -> tu
     norm = np.sqrt(np.where(there, diagonal, 1.0))[:, :, None]
     scaled = normal_matrices / (norm * np.swapaxes(norm, 1, 2))
     np.einsum("bii->bi", scaled)[...] += np.where(there, damping, 1.0)
-    sides = np.empty((*gradients.shape, 4))
-    sides[:, :, 0], sides[:, :, 1:] = gradients, _OF_PLACE
+    sides = np.zeros((*gradients.shape, 5))
+    sides[:, :, 0], sides[:, :, 1:4] = gradients, _OF_PLACE
+    if room is not None:
+        sides[:, :, 4] = room[1]
     solved = np.linalg.solve(scaled, sides / norm) / norm
-    return solved[:, :, 0], solved[:, :3, 1:]
+    steps, covariances = solved[:, :, 0], solved[:, :3, 1:4]
+    if room is not None:
+        room_mm, by_parameter = room
+        lacking_mm = np.maximum(-room_mm - (by_parameter * steps).sum(axis=1), 0.0)
+        likeliest = solved[:, :, 4]
+        gained = np.maximum((by_parameter * likeliest).sum(axis=1), _TINY)
+        steps = steps + (lacking_mm / gained)[:, None] * likeliest
+    return steps, covariances
 
 
 @lru_cache(maxsize=256)

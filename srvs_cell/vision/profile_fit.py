@@ -63,6 +63,8 @@ _SETTLED_PX = 0.02
 """A face whose outline would move by less is where it belongs."""
 _STEP_LIMITS = np.array([6.0, 6.0, 12.0, 6.0, 0.15, 6.0, 0.3])
 _DAMPING = 1e-4
+_TABLE_SLACK_MM = 1.0
+"""No inclined face reaches into the table by more than the table is misplaced."""
 _TINY = 1e-9
 _SEEN_SIGMA = 4.0
 """A border whose step is less than so many standard deviations of its noise is not seen."""
@@ -125,7 +127,8 @@ def _fit_batch(
         profiles = read_profiles(outlines, borders, pictures, rig, table_z_mm, width * pictures.blur_px)
         # far from its place a face explains other values than where it will come to: there it is judged anew
         explained = _explain(profiles, pictures.noise, robust if width == _NARROW else None)
-        steps, covariances = _solved(profiles, explained, pictures.noise)
+        room = outlines.room_above(table_z_mm - _TABLE_SLACK_MM)
+        steps, covariances = _solved(profiles, explained, pictures.noise, room)
         settled = np.abs(steps[:, None] @ borders.by_parameter).max(axis=(0, 2, 3)) < _SETTLED_PX
         if number + 1 == len(effort.widths):
             settled[:] = True
@@ -208,8 +211,11 @@ def _explain(profiles: Profiles, noise: float, robust: NDArray[np.float32] | Non
     return _Explained(residual, share, weights, limit, gradient)
 
 
-def _solved(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array]:
-    """Return Gauss-Newton steps (B, 7) and unscaled covariances of the places (B, 3, 3), the grey levels eliminated."""
+def _solved(profiles: Profiles, explained: _Explained, noise: float, room: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return Gauss-Newton steps that stay in the room, shape (B, 7), and unscaled covariances of the places, (B, 3, 3).
+
+    The grey levels are eliminated.
+    """
     # all values of a profile move together: sums over its offsets come first
     moved = profiles.by_parameter
     sloped = explained.weights * explained.gradient
@@ -220,7 +226,7 @@ def _solved(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Ar
     taken = LevelNormal.of(profiles, explained.weights, noise).whitened(cross)
     normal = ((moved * steepness[:, :, None]) @ moved.swapaxes(-1, -2)).sum(axis=0) - taken @ taken.swapaxes(-1, -2)
     vector = (moved @ pull[..., None])[..., 0].sum(axis=0)
-    steps, covariances = newton_steps(normal, vector, _DAMPING)
+    steps, covariances = newton_steps(normal, vector, _DAMPING, room)
     return np.minimum(np.maximum(steps, -_STEP_LIMITS), _STEP_LIMITS), covariances
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
-from srvs_cell.vision.outlines import Outlines
+from srvs_cell.vision.outlines import Outlines, newton_steps
 from tests.vision.painted import rig
 
 FACES = [
@@ -79,3 +79,36 @@ def test_what_is_held_does_not_move() -> None:
     assert moved[1].slope_u == pytest.approx(0.45)
     assert moved[2].angle_rad == 0.0
     assert moved[3].width_mm == pytest.approx(40.1 * HEXAGON_RATIO)
+
+
+def test_room_is_that_of_the_lowest_corner_and_only_an_inclined_figure_can_lack_it() -> None:
+    outlines = Outlines.of(FACES, INCLINED, 48)
+    room_mm, by_parameter = outlines.room_above(10.0)
+    assert room_mm[1] == pytest.approx(FACES[1].lowest_mm - 10.0)
+    assert np.isinf(room_mm[[0, 2, 3]]).all()
+    assert not by_parameter[[0, 2, 3]].any()
+    step = np.array([1.0, 1.0, 0.3, -0.2, 0.01, 0.5, 0.004])
+    after = outlines.moved(np.tile(step, (4, 1))).room_above(10.0)[0][1]
+    assert after - room_mm[1] == pytest.approx(by_parameter[1] @ step, abs=1e-3)
+
+
+@pytest.mark.parametrize("room_mm", [-0.5, 0.4, 50.0])
+def test_a_step_that_lacks_room_is_the_best_one_that_has_it(room_mm: float) -> None:
+    random = np.random.default_rng(3)
+    roots = random.normal(size=(7, 9))
+    normal, gradient = roots @ roots.T, random.normal(size=7)
+    by_parameter = random.normal(size=7)
+    # down the direction that takes room away
+    gradient -= 3.0 * normal @ by_parameter
+    room = (np.array([room_mm]), by_parameter[None])
+    (step,), _ = newton_steps(normal[None], gradient[None], 0.0, room)
+    (free,), _ = newton_steps(normal[None], gradient[None], 0.0)
+    left_mm = room_mm + by_parameter @ step
+    if room_mm + by_parameter @ free >= 0.0:
+        assert step == pytest.approx(free)
+    else:
+        assert left_mm == pytest.approx(0.0, abs=1e-9)
+        # what still pulls runs along the limit's normal, towards the forbidden side (Karush, Kuhn and Tucker)
+        pull = gradient - normal @ step
+        assert pull == pytest.approx(by_parameter * (pull @ by_parameter) / (by_parameter @ by_parameter))
+        assert pull @ by_parameter < 0.0
