@@ -135,11 +135,11 @@ def _fit_batch(
         elif width != _NARROW:
             settled[:] = False
         if settled.any():
-            rms_px, support, excess = _judged(profiles, explained, pictures.noise)
-            covariances = covariances * (pictures.noise**2 * excess)[:, None, None]
             done = np.flatnonzero(settled)
-            for one, face in zip(done, outlines.only(done).faces(), strict=True):
-                fits[alive[one]] = FaceFit(face, covariances[one], float(rms_px[one]), float(support[one]))
+            rms_px, support, excess = _judged(profiles.weights[:, :, done], explained.only(done), pictures.noise)
+            covariances = covariances[done] * (pictures.noise**2 * excess)[:, None, None]
+            for one, face, *fit in zip(done, outlines.only(done).faces(), covariances, rms_px, support, strict=True):
+                fits[alive[one]] = FaceFit(face, fit[0], float(fit[1]), float(fit[2]))
         going = np.flatnonzero(~settled)
         if going.size == 0:
             break
@@ -158,7 +158,7 @@ def measure_blur(faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, t
 
     def energy(blur_px: float) -> float:
         profiles = read_profiles(outlines, borders, pictures, rig, table_z_mm, blur_px)
-        return float(_explain(profiles, pictures.noise).energy(profiles).sum())
+        return float(_explain(profiles, pictures.noise).energy(profiles.weights).sum())
 
     return min(BLURS_PX, key=energy)
 
@@ -181,10 +181,20 @@ class _Explained:
     limit: NDArray[np.float32]
     gradient: NDArray[np.float32]
 
-    def energy(self, profiles: Profiles) -> Array:
-        """Return the capped squared residuals of each face, shape (B,)."""
+    def only(self, kept: NDArray[np.intp]) -> _Explained:
+        """Return some of the faces by their numbers."""
+        return _Explained(
+            self.residual[:, :, kept],
+            self.robust[:, :, kept],
+            self.weights[:, :, kept],
+            self.limit[kept],
+            self.gradient[:, :, kept],
+        )
+
+    def energy(self, weights: NDArray[np.float32]) -> Array:
+        """Return the capped squared residuals of each face, shape (B,); ``weights``: of the profiles."""
         capped = np.minimum(np.abs(self.residual), _CAPPED * self.limit)
-        return np.asarray(over_offsets(profiles.weights * capped**2).sum(axis=(0, 2)), dtype=np.float64)
+        return np.asarray(over_offsets(weights * capped**2).sum(axis=(0, 2)), dtype=np.float64)
 
 
 def _explain(profiles: Profiles, noise: float, robust: NDArray[np.float32] | None = None) -> _Explained:
@@ -230,11 +240,11 @@ def _solved(profiles: Profiles, explained: _Explained, noise: float, room: tuple
     return np.minimum(np.maximum(steps, -_STEP_LIMITS), _STEP_LIMITS), covariances
 
 
-def _judged(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array, Array]:
+def _judged(weights: NDArray[np.float32], explained: _Explained, noise: float) -> tuple[Array, Array, Array]:
     """Return the misfit as a displacement, the seen share of the outline, the variance over the noise's; each (B,)."""
-    size = over_offsets(profiles.weights)
-    squares = over_offsets(profiles.weights * explained.residual**2)
-    steepness = over_offsets(profiles.weights * explained.gradient**2)
+    size = over_offsets(weights)
+    squares = over_offsets(weights * explained.residual**2)
+    steepness = over_offsets(weights * explained.gradient**2)
     middle = steepness.shape[2]
     usual = np.sort(np.concatenate([*steepness], axis=1))[:, middle - 1 : middle + 1].mean(axis=1, keepdims=True)
     unexplained = np.maximum(squares - size * noise**2, 0.0)
@@ -242,5 +252,5 @@ def _judged(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Ar
     total = np.maximum(size.sum(axis=(0, 2)), _TINY)
     rms_px = np.sqrt((size * np.minimum(displaced2, _LOST_PX**2)).sum(axis=(0, 2)) / total)
     seen = np.sqrt(of_stretches(steepness)) > _SEEN_SIGMA * noise
-    excess = np.maximum(1.0, explained.energy(profiles) / (total * noise**2))
+    excess = np.maximum(1.0, explained.energy(weights) / (total * noise**2))
     return rms_px, seen.mean(axis=2).min(axis=0), excess
