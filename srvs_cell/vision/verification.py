@@ -54,8 +54,8 @@ _SEAM_PX = 1.5
 """Where a face stands over the table, its outline leaves at least a seam of this width in the relief."""
 _UNSEEN_PX = 200
 """So many pixels of relief that no face explains are a part that was not recognised."""
-_SPANNED_SUPPORT = 0.55
-"""Two borders in space are witnesses already: a face that they span may lack more of its outline than others."""
+_LEAST_SUPPORT = 0.55
+"""What rises is a witness already: a face that explains it may lack more of its outline than others."""
 _CONVINCING_PX2 = 0.6
 """A face whose misfit is less needs no search, and what lies in it is print."""
 _SAME_MM = 2.0
@@ -157,27 +157,31 @@ class _Sources:
 
     def from_search(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
         """Return what a search for every figure at every height finds, and all that borders in space span."""
-        rising = fit_rising(outlines, self.evidence, self.bench)
-        # part of a face may explain the grey values along itself, but it has no edges of its own
+        rising = fit_rising(outlines, self.evidence, self._lenient)
         there = [
             (edges, fit)
             for fit, edges in zip(rising, self.bench.by_edges([fit.face for fit in rising]), strict=True)
-            if edges is not None and edges.rms_px <= self.evidence.limits.max_rms_px
+            if edges is not None
         ]
-        return self._from_ledges(outlines) + self.bench.settled(self.bench.together(there))
+        max_rms_px = self.evidence.limits.max_rms_px
+        believed = [both for both in self.bench.together(there) if both.is_believed(max_rms_px)]
+        return self._from_ledges(outlines) + self.bench.settled(believed)
 
     def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:
         """Return the faces that borders span over these outlines or earlier ones, those that suit the pictures."""
-        limits, table_z_mm = self.evidence.limits, self.evidence.table_z_mm
         spanned = spanned_faces(self._ledges, outlines, self.bench.rig)
         new = [face for face in spanned if not any(same_place(face, one, _SAME_MM) for one in self._spanned)]
         self._spanned.extend(new)
-        lenient = replace(limits, min_support=_SPANNED_SUPPORT)
-        bench = replace(self.bench, possible=lambda fit: is_top(fit, table_z_mm, lenient))
-        found = bench.from_lines(new, limits.max_rms_px)
+        found = self._lenient.from_lines(new, self.evidence.limits.max_rms_px)
         kept = different([both.by_profiles for both in found])
-        self._from_borders.extend(bench.settled([found[number] for number in kept]))
+        self._from_borders.extend(self._lenient.settled([found[number] for number in kept]))
         return self._from_borders
+
+    @cached_property
+    def _lenient(self) -> Bench:
+        """What faces are fitted to that may lack more of their outline."""
+        limits, table_z_mm = replace(self.evidence.limits, min_support=_LEAST_SUPPORT), self.evidence.table_z_mm
+        return replace(self.bench, possible=lambda fit: is_top(fit, table_z_mm, limits))
 
     @cached_property
     def _ledges(self) -> Ledges:

@@ -32,6 +32,10 @@ It reads more of the picture, so that its misfit is larger where the place is ri
 """
 _WITNESS_RMS_PX = 0.25
 """Edges that fit so well count half against the grey values."""
+_UNDOUBTED_RMS_PX = 0.4
+"""A fit to the grey values that is as good as this needs no edges: shadow and side faces beside a face may have its."""
+_LOST_RMS_PX = 2.0
+"""Where the edges fit worse they are another border's, and the face is not there."""
 _DOUBTFUL_PX2 = 0.2
 """A rectangle whose misfit is less is not asked what else it may be."""
 _CLEAR_GAIN = 0.7
@@ -81,6 +85,13 @@ class Witnesses:
             and self.by_edges.rms_px <= other.by_edges.rms_px + _SLACK_PX
             and self.by_profiles.rms_px <= other.by_profiles.rms_px + _SLACK_PX
         )
+
+    def is_believed(self, max_rms_px: float) -> bool:
+        """Whether the edges confirm what the grey values say, or these leave nothing to confirm.
+
+        Part of a face may explain the grey values along itself, but it has no edges of its own.
+        """
+        return self.by_edges.rms_px <= max_rms_px or self.by_profiles.rms_px <= _UNDOUBTED_RMS_PX
 
     def may_yield_to(self, by_edges: FaceFit) -> bool:
         """Whether a figure fitted to the edges may suit better or be the twin, whatever the grey values say."""
@@ -184,7 +195,7 @@ class Bench:
         fitted = [
             (face, fit)
             for face, fit in zip(faces, self.by_edges(faces), strict=True)
-            if fit is not None and fit.rms_px <= max_rms_px
+            if fit is not None and fit.rms_px <= _LOST_RMS_PX
         ]
         starts = [face for face, _ in fitted]
         seen = fit_profiles(starts, [_is_sloped(face) for face in starts], self.pictures, self.rig, self.table_z_mm)
@@ -195,7 +206,7 @@ class Bench:
             else:
                 lost.append(edges)
         found = self.together(there) + [both for both in self.by_profiles(lost) if both is not None]
-        return sorted(found, key=lambda both: both.misfit_px2)
+        return sorted((both for both in found if both.is_believed(max_rms_px)), key=lambda both: both.misfit_px2)
 
     def settled(self, known: Sequence[Witnesses]) -> list[Witnesses]:
         """Return faces as they are, or as another rectangle that suits the pictures clearly better."""

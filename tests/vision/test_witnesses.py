@@ -75,3 +75,22 @@ def test_no_face_reaches_into_the_table(slope_u: float, possible: bool) -> None:
 @pytest.mark.parametrize(("slope_u", "possible"), [(0.0, True), (0.05, False), (0.1, True)])
 def test_a_face_next_to_level_is_to_be_fitted_as_level(slope_u: float, possible: bool) -> None:
     assert is_top(fit(40.0, slope_u=slope_u), 0.0, RecognitionParameters()) is possible
+
+
+@pytest.mark.parametrize(
+    ("edges_rms_px", "profiles_rms_px", "believed"), [(1.1, 0.9, True), (1.3, 0.5, False), (1.9, 0.3, True)]
+)
+def test_grey_values_alone_are_believed_where_they_leave_nothing_open(
+    edges_rms_px: float, profiles_rms_px: float, *, believed: bool
+) -> None:
+    both = Witnesses(fit(30.0, edges_rms_px), fit(30.0, profiles_rms_px), 0.0)
+    assert both.is_believed(1.2) is believed
+
+
+@pytest.mark.parametrize(
+    ("edges_rms_px", "slope", "may"), [(0.3, 0.0, True), (0.5, 0.0, False), (0.5, 0.4, True), (0.9, 0.4, False)]
+)
+def test_what_the_edges_suit_worse_is_fitted_no_further(edges_rms_px: float, slope: float, *, may: bool) -> None:
+    # its misfit is 0.5 px2: an inclined figure may still be its twin
+    level = Witnesses(fit(30.0, 0.4), fit(30.0, 0.58), 0.0)
+    assert level.may_yield_to(fit(30.0, edges_rms_px, slope)) is may
