@@ -135,12 +135,19 @@ class _Sources:
     """Where top faces may come from that explain what rises, the cheapest first.
 
     Each takes outlines of what rises in the left image and the tops known so far.
+
+    Attributes:
+        planes: of the left image, those without a partner.
+        relief: what rises over the table.
+        evidence: the images.
+        bench: what faces are fitted to.
     """
 
     planes: Sequence[Region]
     relief: Relief
     evidence: Evidence
     bench: Bench
+    _outlines: list[Array] = field(default_factory=list)
     _spanned: list[Face] = field(default_factory=list)
     _from_borders: list[Witnesses] = field(default_factory=list)
 
@@ -169,7 +176,9 @@ class _Sources:
 
     def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:
         """Return the faces that borders span over these outlines or earlier ones, those that suit the pictures."""
-        spanned = spanned_faces(self._ledges, outlines, self.bench.rig)
+        fresh = [one for one in outlines if not any(np.array_equal(one, other) for other in self._outlines)]
+        self._outlines.extend(fresh)
+        spanned = spanned_faces(self._ledges, fresh, self.bench.rig)
         new = [face for face in spanned if not any(same_place(face, one, _SAME_MM) for one in self._spanned)]
         self._spanned.extend(new)
         found = self._lenient.from_lines(new, self.evidence.limits.max_rms_px)
