@@ -1,0 +1,112 @@
+"""Step 11e, beyond the paper: where the top faces may come from that explain what rises, the cheapest source first.
+
+Two straight borders in space span a face to a millimetre; a plane that matching left without a partner may be one; and
+a search for every figure at every height finds what has neither. What a source proposes suits edges and grey values;
+which of the proposals stand is for `verification` to say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srvs_cell.vision.faces import same_place
+from srvs_cell.vision.ledges import find_ledges, find_lines
+from srvs_cell.vision.recovery import find_places
+from srvs_cell.vision.rising_faces import different, fit_rising
+from srvs_cell.vision.spanned_faces import spanned_faces
+from srvs_cell.vision.top_faces import fit_tops, is_top
+from srvs_cell.vision.tops import rising_test
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from srvs_cell.geometry import Array
+    from srvs_cell.vision.evidence import Evidence
+    from srvs_cell.vision.faces import Face
+    from srvs_cell.vision.ledges import Ledges
+    from srvs_cell.vision.recovery import Region
+    from srvs_cell.vision.relief import Relief
+    from srvs_cell.vision.tops import Top
+    from srvs_cell.vision.witnesses import Bench, Witnesses
+
+    Source = Callable[[list[Array], list[Top]], list[Witnesses]]
+
+CONVINCING_PX2 = 0.6
+"""A face whose misfit is less needs no search, and what lies in it is print."""
+_LEAST_SUPPORT = 0.55
+"""What rises is a witness already: a face that explains it may lack more of its outline than others."""
+_SAME_MM = 2.0
+"""Two lines of one border span the same face twice."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Where top faces may come from that explain what rises, the cheapest first.
+
+    Each takes outlines of what rises in the left image and the tops known so far.
+
+    Attributes:
+        planes: of the left image, those without a partner.
+        relief: what rises over the table.
+        evidence: the images.
+        bench: what faces are fitted to.
+    """
+
+    planes: Sequence[Region]
+    relief: Relief
+    evidence: Evidence
+    bench: Bench
+    _outlines: list[Array] = field(default_factory=list)
+    _spanned: list[Face] = field(default_factory=list)
+    _from_borders: list[Witnesses] = field(default_factory=list)
+
+    def from_lines(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
+        """Return the faces that two borders in space span, where they need no other witness."""
+        return [both for both in self._from_ledges(outlines) if both.misfit_px2 < CONVINCING_PX2]
+
+    def from_planes(self, _: list[Array], known: list[Top]) -> list[Witnesses]:
+        """Return the planes without a partner that are top faces."""
+        rises = rising_test(known, self.relief, self.evidence.rig, self.evidence.table_z_mm)
+        placed = find_places([plane for plane in self.planes if rises(plane.outline_px)], self.evidence)
+        there = [fit for fit in fit_tops(placed, self.evidence) if fit is not None]
+        return self.bench.settled([both for both in self.bench.by_profiles(there) if both is not None])
+
+    def from_search(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
+        """Return what a search for every figure at every height finds, and all that borders in space span."""
+        rising = fit_rising(outlines, self.evidence, self._lenient)
+        there = [
+            (edges, fit)
+            for fit, edges in zip(rising, self.bench.by_edges([fit.face for fit in rising]), strict=True)
+            if edges is not None
+        ]
+        max_rms_px = self.evidence.limits.max_rms_px
+        believed = [both for both in self.bench.together(there) if both.is_believed(max_rms_px)]
+        return self._from_ledges(outlines) + self.bench.settled(believed)
+
+    def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:
+        """Return the faces that borders span over these outlines or earlier ones, those that suit the pictures."""
+        fresh = [one for one in outlines if not any(np.array_equal(one, other) for other in self._outlines)]
+        self._outlines.extend(fresh)
+        spanned = spanned_faces(self._ledges, fresh, self.bench.rig)
+        new = [face for face in spanned if not any(same_place(face, one, _SAME_MM) for one in self._spanned)]
+        self._spanned.extend(new)
+        found = self._lenient.from_lines(new, self.evidence.limits.max_rms_px)
+        kept = different([both.by_profiles for both in found])
+        self._from_borders.extend(self._lenient.settled([found[number] for number in kept]))
+        return self._from_borders
+
+    @cached_property
+    def _lenient(self) -> Bench:
+        """What faces are fitted to that may lack more of their outline."""
+        limits, table_z_mm = replace(self.evidence.limits, min_support=_LEAST_SUPPORT), self.evidence.table_z_mm
+        return replace(self.bench, possible=lambda fit: is_top(fit, table_z_mm, limits))
+
+    @cached_property
+    def _ledges(self) -> Ledges:
+        evidence = self.evidence
+        lines = (find_lines(evidence.left.grey), find_lines(evidence.right.grey))
+        return find_ledges(lines, evidence.rig, evidence.table_z_mm, evidence.limits.max_height_mm)
