@@ -1,0 +1,69 @@
+"""The scenes that the vision is judged by: parts stand where the tag says, and the pictures show them there."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from benchmarks.perceive_rendered import judge, run_scene
+from benchmarks.random_scenes import TAGS, draw_parts, draw_rig, write_scene
+from srvs_cell.vision import VisionParameters
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from drivers.sim.parts import Part
+    from srvs_cell.geometry import Array
+
+TABLE_ALBEDO = 0.3
+
+
+def drawn(tag: str, seed: int) -> tuple[Part, ...]:
+    random = np.random.default_rng(seed)
+    rig, _ = draw_rig(random, "L1")
+    return draw_parts(tag, TABLE_ALBEDO, rig, random)
+
+
+def corners_mm(part: Part) -> Array:
+    corners: Array = part.footprint_mm() + np.array([part.x_mm, part.y_mm])
+    return corners
+
+
+@pytest.mark.parametrize("tag", TAGS)
+def test_parts_stand_apart_unless_they_are_to_touch(tag: str) -> None:
+    for seed in range(2):
+        parts = drawn(tag, seed)
+        gaps = [
+            np.linalg.norm(corners_mm(one)[:, None] - corners_mm(other), axis=2).min()
+            for one, other in combinations(parts, 2)
+        ]
+        assert len(parts) >= 2
+        assert sum(gap < 12.0 for gap in gaps) <= (tag in {"touching", "occluded"})
+
+
+def test_the_tag_is_seen_in_the_parts() -> None:
+    assert any(part.label for part in drawn("label", 1))
+    assert not any(part.label for part in drawn("plain", 1))
+    grey = [part.albedo for part in drawn("same_grey", 1)]
+    assert max(grey) < 1.03 * min(grey)
+    assert any(abs(part.albedo / TABLE_ALBEDO - 1.0) < 0.13 for part in drawn("bright_on_bright", 1))
+    assert len(drawn("crowded", 1)) >= 8
+
+
+def test_only_the_last_level_is_told_a_wrong_rig() -> None:
+    for level in ("L0", "L1", "L2"):
+        rig, told = draw_rig(np.random.default_rng(4), level)
+        assert (told == rig) is (level != "L2")
+
+
+def test_the_pictures_show_the_parts_where_the_truth_says(tmp_path: Path) -> None:
+    write_scene(tmp_path, "L0", "plain", 2)
+    perception, objects, _ = run_scene(tmp_path, VisionParameters())
+    found, spurious = judge("2", perception.workpieces, objects)
+    assert len(found) >= 5
+    assert spurious == []
+    assert [one.seen_kind for one in found] == [one.kind for one in found]
+    assert max(one.error_mm or 0.0 for one in found) < 1.0
