@@ -15,9 +15,11 @@ from srvs_cell.planning.explain import what_would_help
 from srvs_cell.planning.legs import LegTops, leg_tops, tallest_mm
 from srvs_cell.planning.moves import after, free_grips
 from srvs_cell.planning.planner import has_plan, lacks_room, moves_with_room, plan
+from srvs_cell.planning.problem import RankGoal
 from srvs_cell.planning.rules import make_rule
 from srvs_cell.planning.table import TableProblem, accessible, table_problem, with_access
 from srvs_cell.planning.timing import cell_timing
+from srvs_cell.planning.uncertainty import unordered
 from srvs_cell.planning.validator import validate, validate_legs
 from srvs_cell.scene import PlaceKind, PlanStatus, Point2, RelocationPlan
 
@@ -127,8 +129,8 @@ def plan_relocation(
 
     Raises:
         AlarmError: NO_BUFFER_PLACE; UNCERTAIN_POSITION where there is a plan, but not with three sigma of room around
-            what was perceived; PLAN_INFEASIBLE where the arm cannot go the ways of the plan; PLAN_INVALID where the
-            validator refuses the planner's plan.
+            what was perceived, or where the heights are not known well enough to tell their order; PLAN_INFEASIBLE
+            where the arm cannot go the ways of the plan; PLAN_INVALID where the validator refuses the planner's plan.
     """
     if rule is None and parameters.names_a_rule:
         rule = make_rule(parameters.rule, parameters.rule_settings)
@@ -139,6 +141,7 @@ def plan_relocation(
         if error.alarm is Alarm.NO_BUFFER_PLACE and task.is_solvable_if_exact(1):
             raise _too_uncertain((error.detail.rstrip("."),), ()) from error
         raise
+    _check_order(table, workpieces)
     answer = task.plan(table)
     found = _buffers(table)
     if found and not parameters.buffer_places_mm:
@@ -278,6 +281,25 @@ def _too_uncertain(reasons: tuple[str, ...], notes: tuple[str, ...]) -> AlarmErr
         "Blocked by the vision's uncertainty; were positions exact instead of known to 3 sigma, there would be a plan"
     )
     return AlarmError(Alarm.UNCERTAIN_POSITION, f"{said}: {'; '.join((*reasons, *notes))}.")
+
+
+def _check_order(table: TableProblem, workpieces: Sequence[Workpiece]) -> None:
+    """Raise `AlarmError` UNCERTAIN_POSITION where the order of heights is asked for and not known."""
+    goal = table.problem.goal
+    if not isinstance(goal, RankGoal):
+        return
+    sorted_by_height = [workpiece for workpiece in workpieces if workpiece.id in table.workpieces]
+    said = [
+        f"workpieces {one.id} ({one.height_mm:.1f} mm) and {other.id} ({other.height_mm:.1f} mm): "
+        f"the difference is known to {doubt_mm:.1f} mm (two sigma)"
+        for one, other, doubt_mm in unordered(sorted_by_height, goal.tolerance_mm)
+    ]
+    if said:
+        raise AlarmError(
+            Alarm.UNCERTAIN_POSITION,
+            f"Which is the higher one, by more than the {goal.tolerance_mm:.1f} mm that may stand in either order, is "
+            f"not known of {'; '.join(said)}.",
+        )
 
 
 def _cell_plan(table: TableProblem, answer: RelocationPlan, *, looks_between: bool) -> CellPlan:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from srvs_cell.scene import Workpiece
 
 SIGMAS = 3.0
+_ORDER_SIGMAS = 2.0
+"""So well the order of two heights is to be known, as a grasp's place is."""
 _SIDES = 8
 
 
@@ -46,6 +49,21 @@ def top_mm(workpiece: Workpiece, unknown_height_mm: float) -> float:
     sigma = math.sqrt(max(variance_mm2, 0.0)) if math.isfinite(variance_mm2) else 0.0
     top = workpiece.height_mm + SIGMAS * sigma
     return max(top, unknown_height_mm) if workpiece.kind == UNKNOWN_KIND else top
+
+
+def unordered(workpieces: Sequence[Workpiece], tolerance_mm: float) -> list[tuple[Workpiece, Workpiece, float]]:
+    """Return pairs of which either may be the higher one by more than a tolerance, as far as the vision knows.
+
+    Each with two standard deviations of the difference of their heights, mm. Pairs that are nearly equal and well
+    known are none: they may stand in either order.
+    """
+    pairs = []
+    for one, other in combinations(workpieces, 2):
+        variance_mm2 = float(one.covariance_mm2[2, 2] + other.covariance_mm2[2, 2])
+        doubt_mm = _ORDER_SIGMAS * math.sqrt(max(variance_mm2, 0.0)) if math.isfinite(variance_mm2) else math.inf
+        if doubt_mm > abs(one.height_mm - other.height_mm) + tolerance_mm:
+            pairs.append((one, other, doubt_mm))
+    return pairs
 
 
 def footprint_growth_mm(workpiece: Workpiece, clearance_mm: float) -> float:

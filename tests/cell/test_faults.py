@@ -100,9 +100,14 @@ async def test_what_a_job_ended_with_is_told_even_if_a_command_comes_while_it_is
     commands: list[asyncio.Task[CommandAnswer]] = []
 
     def end_run(run: int, outcome: str) -> Future[None]:
-        if not commands:
-            commands.append(asyncio.create_task(cell.unit.command(Command.ABORT, "test")))
-        return plain(run, outcome)
+        written = plain(run, outcome)
+        if commands:
+            return written
+        commands.append(asyncio.create_task(cell.unit.command(Command.ABORT, "test")))
+        # the disk is so slow that the command is answered first
+        told: Future[None] = asyncio.get_running_loop().create_future()
+        commands[0].add_done_callback(lambda _: written.add_done_callback(lambda done: told.set_result(done.result())))
+        return told
 
     cell.journal.end_run = end_run  # type: ignore[method-assign]
     async with running(cell):

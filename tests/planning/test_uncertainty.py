@@ -84,3 +84,32 @@ def test_out_of_reach_says_by_how_much() -> None:
     assert any(
         reason.startswith("workpiece 0") and reason.endswith("out of reach by 14 mm") for reason in answer.reasons
     )
+
+
+@pytest.mark.parametrize(
+    ("heights_mm", "sigma", "known"),
+    [((66.1, 65.9), 3.7, False), ((66.1, 65.9), 0.5, True), ((90.0, 65.9), 3.7, True), ((66.1, 65.9), np.inf, False)],
+)
+def test_nothing_is_sorted_by_heights_that_do_not_tell_the_order(
+    heights_mm: tuple[float, float], sigma: float, *, known: bool
+) -> None:
+    # 2 mm may stand in either order: parts of one height that are well known are sorted as they stand
+    parts = [workpiece(0, (450, -100), heights_mm[0]), workpiece(1, (450, 100), heights_mm[1])]
+    vague = dataclasses.replace(parts[0], covariance_mm2=np.diag([0.01, 0.01, sigma**2]))
+    if known:
+        assert plan_relocation([vague, parts[1]], PARAMETERS, WORKSPACE).relocation.status is PlanStatus.SOLVED
+        return
+    with pytest.raises(AlarmError) as caught:
+        plan_relocation([vague, parts[1]], PARAMETERS, WORKSPACE)
+    assert caught.value.alarm is Alarm.UNCERTAIN_POSITION
+    assert "workpieces 0 (66.1 mm) and 1 (65.9 mm)" in caught.value.detail
+
+
+def test_a_part_that_is_not_sorted_needs_no_known_height() -> None:
+    parts = [
+        workpiece(0, (450, -100), 60),
+        workpiece(1, (450, 100), 20),
+        workpiece(2, (600, 0), 30, size_mm=(20, 10), refusal="too small"),
+    ]
+    vague = dataclasses.replace(parts[2], covariance_mm2=np.diag([0.01, 0.01, 25.0]))
+    assert plan_relocation([*parts[:2], vague], PARAMETERS, WORKSPACE).relocation.status is PlanStatus.SOLVED
