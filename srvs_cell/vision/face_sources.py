@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srvs_cell.vision.faces import same_place
 from srvs_cell.vision.ledges import find_ledges, find_lines
 from srvs_cell.vision.recovery import find_places
 from srvs_cell.vision.rising_faces import different, fit_rising
@@ -39,8 +38,6 @@ CONVINCING_PX2 = 0.6
 """A face whose misfit is less needs no search, and what lies in it is print."""
 _LEAST_SUPPORT = 0.55
 """What rises is a witness already: a face that explains it may lack more of its outline than others."""
-_SAME_MM = 2.0
-"""Two lines of one border span the same face twice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +88,7 @@ class Sources:
         """Return the faces that borders span over these outlines or earlier ones, those that suit the pictures."""
         fresh = [one for one in outlines if not any(np.array_equal(one, other) for other in self._outlines)]
         self._outlines.extend(fresh)
-        spanned = spanned_faces(self._ledges, fresh, self.bench.rig)
-        new = [face for face in spanned if not any(same_place(face, one, _SAME_MM) for one in self._spanned)]
+        new = spanned_faces(self._ledges, fresh, self.bench.rig, self._spanned)
         self._spanned.extend(new)
         found = self._lenient.from_lines(new, self.evidence.limits.max_rms_px)
         kept = different([both.by_profiles for both in found])

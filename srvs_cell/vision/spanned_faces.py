@@ -17,7 +17,7 @@ from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, same_place
 from srvs_cell.vision.ledges import LEAST_RISE, LEAST_SIDE_MM, STEEPEST
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -45,19 +45,22 @@ _MOST_FACES = 60
 """Print has lines enough to span more: those of the longest borders are enough."""
 
 
-def spanned_faces(ledges: Ledges, outlines_px: Iterable[Array], rig: RectifiedRig) -> list[Face]:
+def spanned_faces(
+    ledges: Ledges, outlines_px: Iterable[Array], rig: RectifiedRig, known: Sequence[Face] = ()
+) -> list[Face]:
     """Return the different faces over outlines of the left image that two of the ledges span.
 
     Args:
         ledges: borders in space.
         outlines_px: convex outlines of what rises, each of shape (N, 2); of a wedge it encloses the high part alone.
         rig: the rectified cameras.
+        known: faces that were returned before: they are left out.
     """
-    found: list[Face] = []
+    found = list(known)
     for outline_px in outlines_px:
         faces = _over(outline_px.astype(np.float32), ledges, rig)
-        found += [face for face in faces if not any(same_place(face, known, _SAME_MM) for known in found)]
-    return found
+        found += [face for face in faces if not any(same_place(face, other, _SAME_MM) for other in found)]
+    return found[len(known) :]
 
 
 def _over(outline: NDArray[np.float32], ledges: Ledges, rig: RectifiedRig) -> list[Face]:
