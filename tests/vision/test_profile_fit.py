@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from srvs_cell.vision.faces import Face, Figure
 from srvs_cell.vision.profile_fit import BLURS_PX, REACH, SETTLE, fit_profiles, measure_blur
 from srvs_cell.vision.profiles import USUAL_BLUR_PX, Pictures
 from tests.vision.painted import TABLE_Z_MM, Part, cuboid, paint, rig
@@ -102,3 +103,13 @@ def test_the_blur_that_was_painted_is_picked() -> None:
 def test_the_noise_is_measured() -> None:
     assert pictures_of([BOX], noise=2.0).noise == pytest.approx(2.0, rel=0.25)
     assert pictures_of([BOX], noise=0.0).noise == 0.5
+
+
+def test_no_step_leads_an_inclined_face_into_the_table() -> None:
+    # where nothing is seen nothing but the table holds it
+    pictures = pictures_of([], noise=0.0)
+    start = Face(Figure.RECTANGLE, 500.0, 50.0, TABLE_Z_MM + 4.0, 0.3, 40.0, 30.0, 0.6)
+    assert start.lowest_mm < TABLE_Z_MM - 5.0
+    (fit,) = fit_profiles([start], [True], pictures, rig(), TABLE_Z_MM)
+    assert fit is not None
+    assert fit.face.lowest_mm > TABLE_Z_MM - 1.1
