@@ -9,9 +9,11 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import tempfile
 import threading
 import tty
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -72,6 +74,7 @@ class RtuLine:
         self._answer, self._device_id = answer, device_id
         self._ours = self._theirs = self._wake = -1
         self._thread: threading.Thread | None = None
+        self._name = Path()
 
     def start(self) -> str:
         """Open the pseudo-terminal; return the path of the other end."""
@@ -80,7 +83,10 @@ class RtuLine:
         read_end, self._wake = os.pipe()
         self._thread = threading.Thread(target=self._serve, args=(read_end,), name="RTU double", daemon=True)
         self._thread.start()
-        return os.ttyname(self._theirs)
+        # a name of its own, as udev gives one: the kernel gives a number that was hung up to whoever asks next
+        self._name = Path(tempfile.mkdtemp(prefix="srvs-rtu-")) / "line"
+        self._name.symlink_to(os.ttyname(self._theirs))
+        return str(self._name)
 
     def close(self) -> None:
         """Hang up, and wait for the thread."""
@@ -88,6 +94,8 @@ class RtuLine:
         if thread is not None:
             os.close(self._wake)
             thread.join()
+            self._name.unlink()
+            self._name.parent.rmdir()
             os.close(self._ours)
             os.close(self._theirs)
 
