@@ -53,9 +53,15 @@ class Session:
             self._connection.sendall(line)
             assert json.loads(self._reader.readline())["ErrorID"] == OK
 
-    def say(self, packet: dict[str, object], wait_s: float = 0.0) -> dict[str, Any]:
+    def say(self, packet: dict[str, object]) -> dict[str, Any]:
         self.send(packet)
-        self._time.advance_to(self._time.now_s() + wait_s)
+        return self.hear()
+
+    def carry_out(self, packet: dict[str, object], takes_s: float) -> dict[str, Any]:
+        """Send an instruction, let time pass once the double has taken it, return what it ended with."""
+        self.send(packet)
+        assert self.say({"Command": "FRC_GetStatus"})["Command"] == "FRC_GetStatus"
+        self._time.advance_to(self._time.now_s() + takes_s)
         return self.hear()
 
     def send(self, packet: dict[str, object]) -> None:
@@ -109,11 +115,13 @@ def test_a_paused_move_goes_on_to_the_target_that_it_had(session: Session, point
     assert point.pose.x_mm == pytest.approx(520.0)
 
 
-def test_waiting_for_an_input_ends_with_it(session: Session, point: JointArm) -> None:
+def test_waiting_for_an_input_ends_with_it(session: Session, point: JointArm, double: Double) -> None:
     assert session.say({"Instruction": "FRC_WaitDIN", "SequenceID": 1, "PortNumber": 0, "PortValue": "ON"})["ErrorID"]
     assert session.say({"Command": "FRC_Reset"})["ErrorID"] == OK
     session.send({"Instruction": "FRC_WaitDIN", "SequenceID": 1, "PortNumber": 4, "PortValue": "ON"})
-    assert session.say({"Command": "FRC_ReadDIN", "PortNumber": 4}, wait_s=9.0)["PortValue"] == 0
+    assert session.say({"Command": "FRC_ReadDIN", "PortNumber": 4})["PortValue"] == 0
+    double.time.advance_to(double.time.now_s() + 9.0)
+    assert session.say({"Command": "FRC_ReadDIN", "PortNumber": 4})["PortValue"] == 0
     point.inputs[4] = True
     assert session.say({"Command": "FRC_GetStatus"}) == {"Instruction": "FRC_WaitDIN", "ErrorID": OK, "SequenceID": 1}
 
@@ -124,10 +132,10 @@ def test_moves_told_in_joint_angles(session: Session, point: JointArm) -> None:
     manner = {"SpeedType": "Percent", "Speed": 20, "TermType": "FINE"}
     turn = {**dict.fromkeys(angles, 0.0), "J3": -10.0}
     move = {"Instruction": "FRC_JointRelativeJRep", "SequenceID": 1, "JointAngle": turn, **manner}
-    assert session.say(move, wait_s=2.0)["ErrorID"] == OK
+    assert session.carry_out(move, takes_s=2.0)["ErrorID"] == OK
     assert point.pose.z_mm == pytest.approx(390.0)
     back = {"Instruction": "FRC_JointMotionJRep", "SequenceID": 2, "JointAngle": angles, **manner}
-    assert session.say(back, wait_s=2.0)["ErrorID"] == OK
+    assert session.carry_out(back, takes_s=2.0)["ErrorID"] == OK
     assert point.pose.z_mm == pytest.approx(400.0)
     wrong = {**back, "SequenceID": 3, "JointAngle": {**angles, "J6": None}}
     assert session.say(wrong)["ErrorID"] == 2556951
