@@ -47,8 +47,8 @@ SCOUT = Effort((2.0, 2.0, 2.0), 36)
 """Shows whether a start leads anywhere: a border twice as wide as the picture's reaches farther."""
 REACH = Effort((2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From a start a few pixels off."""
-SETTLE = Effort((1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
-"""From where the edges led."""
+SETTLE = Effort((1.0,) * 12)
+"""From where the edges led; few faces need more than half of it to come to rest."""
 _FOR_BLUR = 48
 """Samples that tell the blur."""
 _ROBUST_SIGMA = 3.0

@@ -41,12 +41,16 @@ _DOUBTFUL_PX2 = 0.2
 _CLEAR_GAIN = 0.7
 """Another rectangle must have less than this share of the misfit."""
 _INCLINED_GAIN = 0.93
-"""A level rectangle that fits badly is an inclined one if that suits better by more than its one parameter more does.
+"""An inclined rectangle must suit better than the level one by more than its one parameter more does.
 
 On the benchmark's scenes no cuboid's misfit fell at all.
 """
+_LEVEL_SLOPE = 0.05
+"""Edges that fit well and show less rise per millimetre speak for a level face."""
 _SLACK_PX = 0.05
 """By this much more a fit may miss by chance."""
+_TWIN_SLACK_PX = 0.12
+"""By this much more the grey values of a level figure may miss than an inclined one's, which reaches more of them."""
 _RIVALRY = 4
 """With this power of the ratio of their misfits a figure that suits worse counts."""
 _ROUNDS = 2
@@ -78,12 +82,22 @@ class Witnesses:
         """How badly the figure suits border and inside, to compare figures at one place."""
         return self.by_edges.rms_px**2 + self.by_profiles.rms_px**2 + self.inner_px2
 
+    @property
+    def price_px2(self) -> float:
+        """The misfit, and for an inclined figure what the slope may have gained by chance."""
+        if not self.is_inclined:
+            return self.misfit_px2
+        edges = self.by_edges
+        level_edges = edges.rms_px < _WITNESS_RMS_PX and abs(edges.face.slope_u) < _LEVEL_SLOPE
+        return self.misfit_px2 / (_CLEAR_GAIN if level_edges else _INCLINED_GAIN)
+
     def suits_better(self, other: Witnesses, gain: float) -> bool:
-        """Whether the misfit is less than a share of another figure's, and neither witness speaks against it."""
+        """Whether the price is less than a share of another figure's, and neither witness speaks against it."""
+        slack_px = _SLACK_PX if self.is_inclined == other.is_inclined else _TWIN_SLACK_PX
         return (
-            self.misfit_px2 < gain * other.misfit_px2
+            self.price_px2 < gain * other.price_px2
             and self.by_edges.rms_px <= other.by_edges.rms_px + _SLACK_PX
-            and self.by_profiles.rms_px <= other.by_profiles.rms_px + _SLACK_PX
+            and self.by_profiles.rms_px <= other.by_profiles.rms_px + slack_px
         )
 
     def is_believed(self, max_rms_px: float) -> bool:
@@ -236,9 +250,8 @@ class Bench:
             if other is None:
                 continue
             rivals[number].append(other)
-            gets_slope = other.is_inclined and not best[number].is_inclined
-            gain = _INCLINED_GAIN if gets_slope else _CLEAR_GAIN
-            if other.suits_better(best[number], 1.0 if number in improved else gain):
+            alike = number not in improved and other.is_inclined == best[number].is_inclined
+            if other.suits_better(best[number], _CLEAR_GAIN if alike else 1.0):
                 best[number] = other
                 improved.add(number)
         for number, all_of_it in rivals.items():

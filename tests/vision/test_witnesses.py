@@ -67,6 +67,25 @@ def test_a_figure_must_suit_clearly_better_and_no_fit_may_speak_against_it() -> 
     assert not against.suits_better(level, 0.7)
 
 
+@pytest.mark.parametrize(
+    ("edges_rms_px", "edges_slope", "profiles_rms_px", "inclined"),
+    [
+        (0.3, 0.2, 0.43, False),  # what one parameter more gains by chance
+        (0.3, 0.2, 0.38, True),
+        (0.2, 0.01, 0.38, False),  # good edges show a level face
+        (0.2, 0.01, 0.3, True),
+        (0.2, 0.2, 0.42, True),
+    ],
+)
+def test_a_slope_must_be_worth_its_parameter(
+    edges_rms_px: float, edges_slope: float, profiles_rms_px: float, *, inclined: bool
+) -> None:
+    level = Witnesses(fit(30.0, edges_rms_px), fit(30.0, 0.45), 0.0)
+    sloped = Witnesses(fit(30.0, edges_rms_px, edges_slope), fit(30.0, profiles_rms_px, 0.2), 0.0)
+    assert sloped.suits_better(level, 1.0) is inclined
+    assert level.suits_better(sloped, 1.0) is not inclined
+
+
 @pytest.mark.parametrize(("slope_u", "possible"), [(0.5, True), (0.8, False)])
 def test_no_face_reaches_into_the_table(slope_u: float, possible: bool) -> None:
     assert is_top(fit(12.0, slope_u=slope_u), 0.0, RecognitionParameters()) is possible
