@@ -1,8 +1,8 @@
 """The time authority of the simulated cell: the world's time is the only time, and it never runs ahead of anybody.
 
 How fast simulated time runs against real time:
-- 0 while a wire request or a render is outstanding (`SimTime.hold`), and while a task of the simulator that has been
-  woken has not gone to sleep again;
+- 0 while a wire request or a render is outstanding (`SimTime.hold`, `SimTime.hold_while`), and while a task of the
+  simulator that has been woken has not gone to sleep again;
 - ``speed`` while the process that is simulated for only waits: it says on the clock page until when, and time does
   not go past that;
 - 1 otherwise: while it computes, and for others' clients that have no clock page.
@@ -45,6 +45,7 @@ class SimTime:
         self._step, self._page, self._speed = step, page, speed
         self._now_s = page.now_s
         self._holds = 0
+        self._wires: list[Callable[[], bool]] = []
         self._wakes: dict[threading.Thread, float] = {}
         self._awake: set[threading.Thread] = set()
         self._closing = threading.Event()
@@ -83,6 +84,10 @@ class SimTime:
             with self.lock:
                 self._holds -= 1
 
+    def hold_while(self, unread: Callable[[], bool]) -> None:
+        """Let time stand still also while ``unread`` says that something has come over a wire."""
+        self._wires.append(unread)
+
     def sleep(self, seconds: float) -> None:
         """Return after simulated ``seconds``, or at the end of time.
 
@@ -118,7 +123,7 @@ class SimTime:
 
     def _rate(self) -> float:
         self._awake = {thread for thread in self._awake if thread.is_alive()}
-        if self._holds or self._awake:
+        if any(unread() for unread in self._wires) or self._holds or self._awake:
             return 0.0
         waiting = self._page.working == 0 and self._page.wake_s > self._now_s
         return self._speed if waiting else 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from contextlib import AbstractContextManager
 
     from srvs_cell.geometry import Xyzwpr
@@ -92,6 +92,10 @@ class HoldableTime(Protocol):
 
     def hold(self) -> AbstractContextManager[None]:
         """Let simulated time stand still inside the block."""
+        ...
+
+    def hold_while(self, unread: Callable[[], bool]) -> None:
+        """Let simulated time stand still also while ``unread`` says that something has come over a wire."""
         ...
 
 

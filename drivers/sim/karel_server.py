@@ -63,6 +63,11 @@ class Carrier(Protocol):
         """Whether somebody can be on it."""
         ...
 
+    @property
+    def unread(self) -> bool:
+        """Whether something has come that was not yet dealt with."""
+        ...
+
     def let_in(self) -> bool:
         """Let in a client that waits; return whether somebody can be on it now."""
         ...
@@ -103,6 +108,7 @@ class KarelWire:
         self.spoken: list[tuple[str, bytes]] = []
         self._carrier, self._device, self._time = carrier, device, time
         self._command = ""
+        time.hold_while(lambda: carrier.unread)
 
     @property
     def connected(self) -> bool:
@@ -222,6 +228,11 @@ class TcpCarrier:
         """Whether a client is there."""
         return self._client.connected
 
+    @property
+    def unread(self) -> bool:
+        """Whether something has come that was not yet dealt with."""
+        return self._client.unread
+
     def let_in(self) -> bool:
         """Take the client that waits."""
         with self._client.lock:
@@ -262,7 +273,7 @@ class TcpCarrier:
         if device is None:
             return
         try:
-            while data := connection.recv(_PIECE):
+            while data := self._client.receive(connection, _PIECE):
                 device.take(data)
         finally:
             device.connection_changed()
@@ -277,6 +288,12 @@ class PtyCarrier:
         self._master = self._slave = -1
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
+        self._in_hand = False
+
+    @property
+    def unread(self) -> bool:
+        """Whether something has come that was not yet dealt with."""
+        return self._thread is not None and (self._has_bytes(0.0) or self._in_hand)
 
     def let_in(self) -> bool:
         """Do nothing: there is no door."""
@@ -308,5 +325,10 @@ class PtyCarrier:
 
     def _serve(self, device: KarelDevice) -> None:
         while not self._closing.is_set():
-            if select.select([self._master], [], [], _LOOK_S)[0]:
+            self._in_hand = False
+            if self._has_bytes(_LOOK_S):
+                self._in_hand = True
                 device.take(os.read(self._master, _PIECE))
+
+    def _has_bytes(self, within_s: float) -> bool:
+        return bool(select.select([self._master], [], [], within_s)[0])

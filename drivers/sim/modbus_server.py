@@ -86,6 +86,7 @@ class ModbusServer:
         self.requests = 0
         self._device, self._time, self._port, self._unit_id = device, time, port, unit_id
         self._client = OneClient("Modbus double")
+        time.hold_while(lambda: self._client.unread)
 
     def start(self) -> int:
         """Listen; return the bound port."""
@@ -101,9 +102,9 @@ class ModbusServer:
 
     def _serve(self, connection: socket.socket) -> None:
         late = b""
-        while header := _receive(connection, _HEADER.size):
+        while header := self._receive(connection, _HEADER.size):
             transaction, protocol, length, unit = _HEADER.unpack(header)
-            if protocol != 0 or not 1 < length <= _LONGEST or not (pdu := _receive(connection, length - 1)):
+            if protocol != 0 or not 1 < length <= _LONGEST or not (pdu := self._receive(connection, length - 1)):
                 return
             if unit != self._unit_id:  # a wrong unit id meets silence on the real server too
                 continue
@@ -126,6 +127,16 @@ class ModbusServer:
                 if fault is WireFault.DUPLICATE:
                     packet *= 2
                 connection.sendall(_NONSENSE if fault is WireFault.NONSENSE else packet)
+
+    def _receive(self, connection: socket.socket, count: int) -> bytes:
+        """Return exactly ``count`` bytes, or none where the connection ends before."""
+        received = b""
+        while len(received) < count:
+            piece = self._client.receive(connection, count - len(received))
+            if not piece:
+                return b""
+            received += piece
+        return received
 
     def _answer(self, pdu: bytes, fault: WireFault) -> bytes:
         function = pdu[0]
@@ -178,14 +189,3 @@ class ModbusServer:
 
 class _IllegalFunctionError(Exception):
     """The server does not have this function."""
-
-
-def _receive(connection: socket.socket, count: int) -> bytes:
-    """Return exactly ``count`` bytes, or none where the connection ends before."""
-    received = b""
-    while len(received) < count:
-        piece = connection.recv(count - len(received))
-        if not piece:
-            return b""
-        received += piece
-    return received

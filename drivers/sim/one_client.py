@@ -6,6 +6,7 @@ What the bytes mean is not known here.
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import threading
 from typing import TYPE_CHECKING
@@ -29,37 +30,50 @@ class OneClient:
         self._name = name
         self._listeners: list[socket.socket] = []
         self._client: socket.socket | None = None
+        self._server: threading.Thread | None = None
+        self._in_hand: dict[socket.socket, bool] = {}
         self._threads: list[threading.Thread] = []
 
     def listen(self, port: int, welcome: Callable[[socket.socket], object]) -> int:
         """Hand every connection to ``welcome``, which takes or closes it; return the bound port."""
         listener = socket.create_server(("127.0.0.1", port))
+        bound = int(listener.getsockname()[1])
         self._listeners.append(listener)
-        self._spawn(lambda: self._accept(listener, welcome))
-        return int(listener.getsockname()[1])
+        self._spawn(listener, lambda: self._accept(listener, welcome))
+        return bound
 
     def take(self, connection: socket.socket, serve: Callable[[socket.socket], None]) -> bool:
         """Let ``serve`` talk to a client until it returns; hang up on it where another one is there.
 
         Args:
             connection: the client's.
-            serve: runs in a thread of its own; an OSError is the end of the connection.
+            serve: runs in a thread of its own, reads with `receive`; an OSError is the end of the connection.
         """
         with self.lock:
-            free = bool(self._listeners) and not self.connected
+            free = not self.connected
             if free:
                 self._client = connection
-        if free:
-            self._spawn(lambda: self._serve(connection, serve))
-        else:
+                self._server = self.greet(connection, serve)
+        if not free:
             connection.close()
         return free
 
+    def greet(self, connection: socket.socket, serve: Callable[[socket.socket], None]) -> threading.Thread:
+        """Let ``serve`` talk to somebody who is not the client, beside it; arguments as above."""
+        return self._spawn(connection, lambda: serve(connection))
+
+    def receive(self, connection: socket.socket, most: int) -> bytes:
+        """Wait for bytes and return them; until the next call they count as `unread`."""
+        self._in_hand[connection] = False
+        connection.recv(1, socket.MSG_PEEK)  # what has come is unread in the socket until it is in hand
+        self._in_hand[connection] = True
+        return connection.recv(most)
+
     @property
-    def serving(self) -> bool:
-        """Whether a client is served; all that it had sent has been read when this turns false."""
-        with self.lock:
-            return self._client is not None
+    def unread(self) -> bool:
+        """Whether something has come, a connection or its end too, that a thread has not yet dealt with."""
+        ends = list(self._in_hand)  # without the lock, which is held while a client is slow to take an answer
+        return any(_wait(end, select.POLLIN, 0) or self._in_hand.get(end, False) for end in ends)
 
     @property
     def connected(self) -> bool:
@@ -85,36 +99,62 @@ class OneClient:
         """Close everything and wait for the threads."""
         with self.lock:
             listeners, self._listeners = self._listeners, []
-        for listener in listeners:
-            with contextlib.suppress(OSError):  # not connected: shutdown only wakes the accept
-                listener.shutdown(socket.SHUT_RDWR)
-            listener.close()
-        self.cut()
+            ends = list(self._in_hand)
+        for end in (*listeners, *ends):
+            with contextlib.suppress(OSError):  # not connected, or closed by its thread: this only wakes it
+                end.shutdown(socket.SHUT_RDWR)
         for thread in self._threads:
             thread.join()
         self._threads.clear()
 
-    def _spawn(self, body: Callable[[], None]) -> None:
-        thread = threading.Thread(target=body, name=self._name, daemon=True)
-        self._threads.append(thread)
-        thread.start()
+    def _spawn(self, end: socket.socket, body: Callable[[], None]) -> threading.Thread:
+        """Run what reads from a socket until the socket ends."""
 
-    @staticmethod
-    def _accept(listener: socket.socket, welcome: Callable[[socket.socket], object]) -> None:
-        while True:
+        def run() -> None:
             try:
-                connection, _ = listener.accept()
-            except OSError:  # the listener was closed
-                return
+                with contextlib.suppress(OSError):
+                    body()
+            finally:
+                with self.lock:
+                    del self._in_hand[end]
+                    if self._client is end:
+                        self._client = None
+                end.close()
+
+        thread = threading.Thread(target=run, name=self._name, daemon=True)
+        with self.lock:
+            self._in_hand[end] = False
+            self._threads.append(thread)
+            if not self._listeners:  # closed meanwhile
+                end.shutdown(socket.SHUT_RDWR)
+        thread.start()
+        return thread
+
+    def _accept(self, listener: socket.socket, welcome: Callable[[socket.socket], object]) -> None:
+        while True:
+            self._in_hand[listener] = False
+            _wait(listener, select.POLLIN)
+            self._in_hand[listener] = True
+            connection, _ = listener.accept()  # an OSError where it was shut down
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._see_off()
             welcome(connection)
 
-    def _serve(self, connection: socket.socket, serve: Callable[[socket.socket], None]) -> None:
-        with connection, contextlib.suppress(OSError):  # a connection that is cut ends its thread
-            serve(connection)
+    def _see_off(self) -> None:
+        """Wait until all is dealt with that a client sent which has gone: nobody is served before."""
         with self.lock:
-            if self._client is connection:
-                self._client = None
+            gone = self._client is None or _wait(self._client, select.POLLRDHUP, 0)
+            server = self._server if gone else None
+        if server is not None:
+            server.join()
+
+
+def _wait(end: socket.socket, event: int, within_ms: int | None = None) -> bool:
+    """Return whether a socket has an event of `select.poll`; one that is closed has none."""
+    poll = select.poll()
+    with contextlib.suppress(ValueError):  # closed
+        poll.register(end, event)
+    return bool(poll.poll(within_ms))
 
 
 def _ended(connection: socket.socket) -> bool:

@@ -6,10 +6,8 @@ talks to it. Simulated time stands still from the arrival of a packet until its 
 
 from __future__ import annotations
 
-import contextlib
 import json
 import socket
-import threading
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -79,6 +77,7 @@ class RmiServer:
         self._device, self._time, self._port = device, time, port
         self._fillers: list[socket.socket] = []
         self._client = OneClient("RMI double")
+        time.hold_while(lambda: self._client.unread)
 
     def start(self) -> int:
         """Listen; return the port for ``FRC_Connect``."""
@@ -94,11 +93,6 @@ class RmiServer:
         for filler in self._fillers:
             filler.close()
         self._client.close()
-
-    @property
-    def in_session(self) -> bool:
-        """Whether a client has the session; all that it had sent is read when this turns false."""
-        return self._client.serving
 
     def cut(self) -> None:
         """Close the session's connection at once, as a pulled cable that is plugged in again would."""
@@ -140,13 +134,15 @@ class RmiServer:
     def _welcome(self, connection: socket.socket) -> None:
         """Answer ``FRC_Connect`` on the first port, and close it; whoever says nothing keeps nobody else waiting."""
         connection.settimeout(_CONNECT_S)
-        threading.Thread(target=self._greet, args=(connection,), name="RMI double, first port", daemon=True).start()
+        self._client.greet(connection, self._greet)
 
     def _greet(self, connection: socket.socket) -> None:
-        with connection, contextlib.suppress(OSError):  # whoever sends no line, or has gone
-            packet = _packet(connection.makefile("rb").readline(_LONGEST_LINE))
-            if self.fault is not RmiFault.DEAF:
-                connection.sendall(json.dumps(self._reply_to_greeting(packet)).encode() + b"\r\n")
+        line = b""
+        while b"\n" not in line and len(line) <= _LONGEST_LINE and (piece := self._client.receive(connection, _PIECE)):
+            line += piece
+        if self.fault is not RmiFault.DEAF:
+            reply = self._reply_to_greeting(_packet(line[: line.find(b"\n") + 1]))
+            connection.sendall(json.dumps(reply).encode() + b"\r\n")
 
     def _reply_to_greeting(self, packet: dict[str, Any] | None) -> dict[str, Any]:
         kind, name = ("", "") if packet is None else next(iter(packet.items()))
@@ -179,7 +175,7 @@ class RmiServer:
 
     def _serve(self, connection: socket.socket) -> None:
         rest = b""
-        while (piece := connection.recv(_PIECE)) and len(rest) <= _LONGEST_LINE:
+        while (piece := self._client.receive(connection, _PIECE)) and len(rest) <= _LONGEST_LINE:
             *lines, rest = (rest + piece).split(b"\n")
             for line in lines:
                 with self._time.hold():

@@ -27,7 +27,7 @@ from tests.cli.test_operate import Daemon
 from tests.drivers.stepped import PointArm
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
 CALIBRATION = {
@@ -60,6 +60,10 @@ class LifeTime:
     @staticmethod
     def hold() -> AbstractContextManager[None]:
         return contextlib.nullcontext()
+
+    @staticmethod
+    def hold_while(_unread: Callable[[], bool]) -> None:
+        pass
 
 
 class Site:

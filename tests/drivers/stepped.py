@@ -1,7 +1,8 @@
 """Simulated time and a point-like arm for tests of drivers against doubles.
 
 Time advances only when every task of the event loop waits for the clock or has an answer outstanding that the double
-will give without time passing, and every thread of the double sleeps: nothing depends on the machine's speed.
+will give without time passing, and every thread of the double has dealt with what came and sleeps: nothing depends on
+the machine's speed.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class SteppedTime:
         self._now_s = 100.0
         self._wakes: dict[threading.Thread, float] = {}
         self._holds = 0
+        self._wires: list[Callable[[], bool]] = []
         self._released = False
         self._changed = threading.Condition()
 
@@ -52,6 +54,14 @@ class SteppedTime:
             with self._changed:
                 self._holds -= 1
                 self._changed.notify_all()
+
+    def hold_while(self, unread: Callable[[], bool]) -> None:
+        self._wires.append(unread)
+
+    @property
+    def held(self) -> bool:
+        """Whether a double has not yet dealt with what came over its wire."""
+        return any(unread() for unread in self._wires) or self._holds > 0
 
     def sleep(self, seconds: float) -> None:
         me = threading.current_thread()
@@ -71,19 +81,21 @@ class SteppedTime:
     def advance_to(self, target_s: float) -> None:
         """Go to ``target_s``, stopping at every instant at which a thread wants to wake and waiting for its work."""
         with self._changed:
+            self._settle([])
             while self._wakes and (wake_s := min(self._wakes.values())) <= target_s:
                 self._now_s = max(self._now_s, wake_s)
                 due = [thread for thread, at_s in self._wakes.items() if at_s <= self._now_s]
                 for thread in due:
                     del self._wakes[thread]
                 self._changed.notify_all()
-                while not self._settled(due):
-                    self._changed.wait(_LOOK_AGAIN_S)
+                self._settle(due)
             self._now_s = max(self._now_s, target_s)
             self._changed.notify_all()
 
-    def _settled(self, threads: list[threading.Thread]) -> bool:
-        return not self._holds and all(thread in self._wakes or not thread.is_alive() for thread in threads)
+    def _settle(self, woken: list[threading.Thread]) -> None:
+        """Wait until nothing is held and those that were woken sleep again or have ended."""
+        while self.held or any(thread not in self._wakes and thread.is_alive() for thread in woken):
+            self._changed.wait(_LOOK_AGAIN_S)
 
 
 class SteppedClock:
@@ -115,7 +127,7 @@ class SteppedClock:
         quiet = busy = 0
         while self._queue:
             await asyncio.sleep(0.0 if busy < _BUSY_ROUNDS else _LOOK_AGAIN_S)
-            quiet, busy = (0, busy + 1) if self.busy() else (quiet + 1, 0)
+            quiet, busy = (0, busy + 1) if self.busy() or self._time.held else (quiet + 1, 0)
             if quiet < _QUIET_ROUNDS:
                 continue
             quiet = 0

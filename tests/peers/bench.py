@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING
 from drivers.clock.system import SystemClock
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from srvs_cell.ports import Clock
 
@@ -50,6 +50,9 @@ class WallTime:
     @contextlib.contextmanager
     def hold(self) -> Iterator[None]:
         yield
+
+    def hold_while(self, _unread: Callable[[], bool]) -> None:
+        pass
 
 
 def wall_clock() -> Clock:

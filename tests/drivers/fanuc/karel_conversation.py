@@ -29,6 +29,7 @@ class MemoryCarrier:
     """A wire that is a list."""
 
     connected = True
+    unread = False
 
     def __init__(self) -> None:
         self.answers: list[bytes] = []

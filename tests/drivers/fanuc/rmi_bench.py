@@ -38,15 +38,10 @@ class RmiBench:
         await self.arm.connect()
         await self.arm.activate()
 
-    async def said_goodbye(self) -> None:
-        """Return when the double's thread has read all of a session, to its end; the driver does not wait for it."""
-        while self.controller.server.in_session:  # noqa: ASYNC110 - a thread has no asyncio event
-            await asyncio.sleep(0)
-
-    async def stopped(self) -> None:
-        """Return when the double's thread has read an abort and the arm stands; the driver does not wait for it."""
-        while self.point.moving:  # noqa: ASYNC110 - a thread has no asyncio event
-            await asyncio.sleep(0)
+    async def heard(self) -> None:
+        """Return when the double has dealt with all that was sent, a session's end too; the driver does not wait."""
+        await asyncio.sleep(0)  # a socket is closed in the loop's next turn
+        self.time.advance_to(self.time.now_s())
 
     def begin_move(self) -> asyncio.Task[Xyzwpr]:
         return asyncio.create_task(self.arm.move_linear(TARGET, SPEED_MM_S))

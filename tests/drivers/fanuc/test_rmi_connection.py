@@ -76,7 +76,7 @@ async def test_a_controller_that_does_not_answer_is_let_go_of_in_a_bounded_time(
         begun_s = b.clock.now_s()
         await b.arm.disconnect()
         assert 4.0 <= b.clock.now_s() - begun_s < 4.2
-        await b.said_goodbye()
+        await b.heard()
         assert b.controller.server.received[-2:] == ["FRC_Abort", "FRC_Disconnect"]
 
 

@@ -139,7 +139,7 @@ async def test_an_abort_that_takes_almost_a_minute_is_waited_for_while_nothing_e
         begun_s = b.clock.now_s()
         await b.arm.request_stop()
         assert b.clock.now_s() - begun_s < 1.0  # whoever asks for a stop does not wait
-        await b.stopped()
+        await b.heard()
         assert b.clock.now_s() - begun_s < 1.0  # the arm stands long before the abort is answered
         status = asyncio.create_task(b.arm.status())
         with pytest.raises(MotionStoppedError):
@@ -195,7 +195,7 @@ async def test_cancelling_a_move_stops_the_arm() -> None:
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
-        await b.stopped()
+        await b.heard()
         stood = b.point.pose
         await b.arm.activate()
         await b.clock.sleep(3.0)
@@ -217,8 +217,7 @@ async def test_disconnecting_in_mid_move_aborts_it() -> None:
         task = await b.begun_move()
         assert "FRC_Abort" not in b.controller.server.received
         await b.arm.disconnect()
-        await b.said_goodbye()
-        await b.stopped()
+        await b.heard()
         received = b.controller.server.received
         assert "FRC_Abort" in received
         assert received[-1] == "FRC_Disconnect"
@@ -236,7 +235,7 @@ async def test_nothing_is_sent_behind_the_goodbye_although_somebody_waits_for_hi
         await leaving
         ends = await asyncio.gather(move, *stops, *readings, return_exceptions=True)
         assert all(end is None or isinstance(end, PortError | RobotStatus) for end in ends)
-        await b.said_goodbye()
+        await b.heard()
         assert b.controller.server.received[-1] == "FRC_Disconnect"
         assert b.controller.server.received.count("FRC_Disconnect") == 1
 
@@ -425,7 +424,7 @@ async def test_a_move_that_never_ends_is_unknown_and_stopped() -> None:
         with pytest.raises(OutcomeUnknownError) as unknown:
             await task
         assert "not finished after" in unknown.value.detail
-        await b.stopped()
+        await b.heard()
         assert b.controller.motions_started == 1
 
 

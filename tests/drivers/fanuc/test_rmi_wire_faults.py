@@ -213,8 +213,7 @@ async def test_garbage_is_answered_with_an_abort_and_goodbye() -> None:
         b.controller.server.send_raw(b"\x00\xff garbage\r\n")
         with pytest.raises(OutcomeUnknownError):
             await task
-        await b.said_goodbye()
-        await b.stopped()
+        await b.heard()
         assert b.controller.server.received[-2:] == ["FRC_Abort", "FRC_Disconnect"]
 
 

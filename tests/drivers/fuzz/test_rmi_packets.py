@@ -124,7 +124,7 @@ def test_no_packet_begins_a_move_or_repeats_one(packets: list[object], moving: b
                 with contextlib.suppress(PortError):
                     assert await task == TARGET
             await b.arm.disconnect()
-            await b.said_goodbye()
+            await b.heard()
             assert b.controller.motions_started == int(moving)
             assert moving or b.point.pose == HOME
 
