@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 
 from srvs_cell.vision.face_sources import CONVINCING_PX2, Sources
+from srvs_cell.vision.faces import Figure, same_place
+from srvs_cell.vision.joined_faces import joined_faces
 from srvs_cell.vision.profile_fit import measure_blur
 from srvs_cell.vision.profiles import Pictures
 from srvs_cell.vision.relief import risen, rising_outlines
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.geometry import Array
     from srvs_cell.vision.evidence import Evidence
+    from srvs_cell.vision.face_fit import FaceFit
     from srvs_cell.vision.face_sources import Source
     from srvs_cell.vision.faces import Face
     from srvs_cell.vision.recovery import Region
@@ -49,6 +52,12 @@ _UNSEEN_PX = 200
 """So many pixels of relief that no face explains are a part that was not recognised."""
 _FOR_BLUR = 3
 """So many well known faces tell the blur of the picture."""
+_SAME_MM = 4.0
+"""A face made of two halves comes to rest within this of where they put it."""
+_WHOLE = 0.9
+"""Share of an outline that is seen where all sides are."""
+_BORDER_PX = 10.0
+"""A side nearer to the border of a picture may be that border."""
 
 
 def verify_tops(
@@ -86,10 +95,12 @@ def verify_tops(
         if added:
             known += added
             outlines = _unexplained(known, relief, evidence)
-    known = sorted(one_per_place(known), key=lambda top: top.fit.rms_px)
+    known = sorted(_in_one_light(one_per_place(known), bench), key=lambda top: top.fit.rms_px)
     rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
     standing = [
-        top for top, pixels in zip(known, rising_px, strict=True) if pixels >= _SEAM_PX * _outline_px(top.fit.face, rig)
+        top
+        for top, pixels in zip(known, rising_px, strict=True)
+        if pixels >= _SEAM_PX * _outline_px(top.fit.face, rig) and not _is_cut_off(top.fit, evidence)
     ]
     unseen = rising_outlines(relief, explained_polygons(standing, rig, table_z_mm), _UNSEEN_PX)
     return standing, unseen
@@ -134,6 +145,42 @@ def _new_tops(found: list[Witnesses], known: list[Top]) -> list[Top]:
         for fit in fits
         if not any(share_place(fit, top.fit) and rank(top.fit) <= rank(fit) for top in known)
     ]
+
+
+def _in_one_light(known: list[Top], bench: Bench) -> list[Top]:
+    """Return the tops; two that a shadow or a band of print made of one face are one."""
+    known = list(known)
+    while True:
+        pairs = joined_faces([top.fit.face for top in known])
+        edges = bench.by_edges([face for _, _, face in pairs])
+        there = [(pair, fit) for pair, fit in zip(pairs, edges, strict=True) if fit is not None]
+        seen = bench.by_profiles([fit for _, fit in there])
+        whole = [
+            (both, pair)
+            for ((*pair, face), _), both in zip(there, seen, strict=True)
+            if both is not None
+            and both.misfit_px2 < CONVINCING_PX2
+            and same_place(both.by_profiles.face, face, _SAME_MM)
+        ]
+        if not whole:
+            return known
+        both, pair = min(whole, key=lambda one: one[0].misfit_px2)
+        halves = [known[number] for number in pair]
+        known = [top for top in known if top not in halves]
+        known.append(Top(both.agreed(), halves[0].surfaces + halves[1].surfaces))
+
+
+def _is_cut_off(fit: FaceFit, evidence: Evidence) -> bool:
+    """Whether one side is not seen and one lies at the border of a picture: the part goes on beyond."""
+    if fit.face.figure is not Figure.RECTANGLE or fit.support > _WHOLE:
+        return False
+    height, width = evidence.left.grey.shape
+    x, y, disparity = evidence.rig.project_px(fit.face.corners_mm())
+    for across in (x, x - disparity):
+        beyond = np.stack([across < _BORDER_PX, across > width - _BORDER_PX, y < _BORDER_PX, y > height - _BORDER_PX])
+        if (beyond & np.roll(beyond, 1, axis=1)).any():
+            return True
+    return False
 
 
 def _outline_px(face: Face, rig: RectifiedRig) -> float:

@@ -23,6 +23,7 @@ from tests.vision.painted import SIZE, TABLE_Z_MM, cuboid, paint, planes, rig
 if TYPE_CHECKING:
     from srvs_cell.geometry import Array
     from srvs_cell.vision.faces import Face
+    from srvs_cell.vision.rectification import RectifiedRig
     from tests.vision.painted import Part
 
 BOX = cuboid(490.0, 80.0, 40.0, 20.0, (60.0, 40.0), 180)
@@ -33,9 +34,9 @@ SHADOW = cuboid(520.0, 0.0, 0.0, 40.0, (50.0, 40.0), 70)
 LABEL = replace(cuboid(490.0, 80.0, 40.0, 20.0, (22.0, 18.0), 70), side_grey=180)
 
 
-def verified(parts: list[Part], tops: list[Top]) -> tuple[list[Top], list[Array]]:
+def verified(parts: list[Part], tops: list[Top], cameras: RectifiedRig | None = None) -> tuple[list[Top], list[Array]]:
     """Verify tops against the picture of parts; no plane was found in it."""
-    cameras = rig()
+    cameras = cameras or rig()
     left, right = paint(parts, cameras)
     seen = np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)
     pair = RectifiedPair(left, right, seen, seen, cameras)
@@ -96,3 +97,48 @@ def test_a_top_of_its_shadow_s_grey_is_found_by_two_of_its_borders() -> None:
     assert (face.x_mm, face.y_mm, face.z_mm) == pytest.approx((540.0, 130.0, TABLE_Z_MM + 80.0), abs=0.5)
     assert sorted((face.length_mm, face.width_mm)) == pytest.approx([44.0, 60.0], abs=0.5)
     assert unseen == []
+
+
+def in_two_lights(shaded_mm: float) -> list[Part]:
+    """Return a part and the shadow on its near end, whose only side that would be painted on the part faces away."""
+    along = np.array([np.cos(np.deg2rad(110.0)), np.sin(np.deg2rad(110.0))])
+    x_mm, y_mm = (float(value) for value in (490.0, 80.0) - along * (30.0 - shaded_mm / 2.0))
+    shade = replace(cuboid(x_mm, y_mm, 40.0, 110.0, (shaded_mm, 40.0), 70), side_grey=90)
+    return [cuboid(490.0, 80.0, 40.0, 110.0, (60.0, 40.0), 180), shade]
+
+
+def lit(part: Part, shade: Part) -> Face:
+    """Return what is left of the part's top."""
+    shaded_mm = shade.face.length_mm
+    x_mm, y_mm, _ = part.face.place(np.array([[shaded_mm / 60.0, 0.0]]))[0]
+    return replace(part.face, x_mm=float(x_mm), y_mm=float(y_mm), length_mm=60.0 - shaded_mm)
+
+
+def test_a_shadow_on_a_top_makes_no_second_part_of_it() -> None:
+    part, shade = in_two_lights(22.0)
+    standing, unseen = verified([part, shade], [top(lit(part, shade), 0.05, 3), top(shade.face, 0.05, 4)])
+    ((face, surfaces),) = [(one.fit.face, one.surfaces) for one in standing]
+    assert (face.x_mm, face.y_mm, face.z_mm) == pytest.approx((490.0, 80.0, TABLE_Z_MM + 40.0), abs=0.5)
+    assert sorted((face.length_mm, face.width_mm)) == pytest.approx([40.0, 60.0], abs=0.5)
+    assert sorted(surfaces) == [3, 4]
+    assert unseen == []
+
+
+def test_two_parts_of_one_size_stay_two() -> None:
+    part, shade = in_two_lights(30.0)
+    standing, _ = verified([part, shade], [top(lit(part, shade), 0.05, 3), top(shade.face, 0.05, 4)])
+    assert sorted(one.surfaces for one in standing) == [(3,), (4,)]
+
+
+def test_a_part_that_the_picture_cuts_off_is_not_taken_for_a_whole_one() -> None:
+    # the picture ends within the part: what is seen of it is a rectangle, too
+    cameras = rig(tilt_deg=0.0, yaw_deg=0.0)
+    level = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), TABLE_Z_MM + 40.0)[2]
+    ends = cameras.points_mm(np.full(3, 320.0), np.array([5.0, 20.0, 72.0]), np.full(3, level))
+    x_mm, y_mm = (float(value) for value in ends[1, :2])
+    seen_mm = float(np.linalg.norm(ends[2] - ends[0]))
+    part = cuboid(x_mm, y_mm, 40.0, 0.0, (60.0, 2.0 * float(np.linalg.norm(ends[2] - ends[1]))), 180)
+    face = replace(part.face, y_mm=float(ends[[0, 2], 1].mean()), width_mm=seen_mm)
+    standing, unseen = verified([part], [top(face, 0.3, 0)], cameras)
+    assert standing == []
+    assert unseen
