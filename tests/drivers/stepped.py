@@ -63,6 +63,10 @@ class SteppedTime:
         """Whether a double has not yet dealt with what came over its wire."""
         return any(unread() for unread in self._wires) or self._holds > 0
 
+    def awake(self, thread: threading.Thread | None) -> bool:
+        """Whether a thread has work to do: it has begun, does not sleep here and has not ended."""
+        return thread is not None and thread.is_alive() and thread not in self._wakes
+
     def sleep(self, seconds: float) -> None:
         me = threading.current_thread()
         with self._changed:
@@ -94,7 +98,7 @@ class SteppedTime:
 
     def _settle(self, woken: list[threading.Thread]) -> None:
         """Wait until nothing is held and those that were woken sleep again or have ended."""
-        while self.held or any(thread not in self._wakes and thread.is_alive() for thread in woken):
+        while self.held or any(map(self.awake, woken)):
             self._changed.wait(_LOOK_AGAIN_S)
 
 

@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
     from numpy.typing import NDArray
 
-    from tests.drivers.stepped import SteppedTime
+    from tests.drivers.stepped import SteppedClock, SteppedTime
 
 PERIOD_S = 0.04
+
+
+async def going_on(clock: SteppedClock, work: Coroutine[Any, Any, None]) -> None:
+    """Let time go on while something waits for the camera's thread."""
+
+    async def tick() -> None:
+        while True:
+            await clock.sleep(1.0)
+
+    ticking = asyncio.create_task(tick())
+    try:
+        await work
+    finally:
+        ticking.cancel()
 
 
 class ScriptedVideo:

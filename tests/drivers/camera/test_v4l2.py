@@ -13,7 +13,7 @@ from drivers.camera.grabber import GrabbingCamera
 from drivers.camera.v4l2 import DRIVER, V4l2CameraConfig, open_v4l2
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import DriverContext, FrameError, Lifecycle, NotConnectedError, NotReadyError, PortError
-from tests.drivers.camera.scripted import PERIOD_S, ScriptedVideo
+from tests.drivers.camera.scripted import PERIOD_S, ScriptedVideo, going_on
 from tests.drivers.stepped import SteppedClock, SteppedTime
 
 DEVICE = "/dev/v4l/by-id/usb-Scripted-video-index0"
@@ -30,6 +30,7 @@ class Bench:
         self.camera = GrabbingCamera(
             lambda: open_v4l2(config, self.clock, lambda *_: self.video, self.time.now_s), self.clock, DEVICE, (64, 48)
         )
+        self.time.hold_while(lambda: self.time.awake(self.camera._thread))
 
 
 @contextlib.asynccontextmanager
@@ -163,7 +164,7 @@ async def test_an_inactive_camera_gives_no_frames() -> None:
         with pytest.raises(NotReadyError):
             await b.camera.grab(0.0, 1.0)
         await b.camera.activate()
-        await asyncio.gather(b.camera.deactivate(), b.clock.sleep(0.2))
+        await going_on(b.clock, b.camera.deactivate())
         with pytest.raises(NotReadyError):
             await b.camera.grab(0.0, 1.0)
 

@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import threading
 import time
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
@@ -19,7 +19,7 @@ from drivers.camera.grabber import FrameStamp, GrabbingCamera, _Wanted
 from drivers.camera.v4l2 import V4l2Camera, V4l2CameraConfig, V4l2Capture, open_v4l2
 from srvs_cell.alarms import Alarm
 from srvs_cell.ports import Frame, FrameError, Lifecycle, NotConnectedError
-from tests.drivers.camera.scripted import PERIOD_S, ScriptedVideo
+from tests.drivers.camera.scripted import PERIOD_S, ScriptedVideo, going_on
 from tests.drivers.stepped import SteppedClock, SteppedTime
 
 DEVICE = "/dev/v4l/by-id/usb-Scripted-video-index0"
@@ -35,6 +35,7 @@ class Bench:
         self.opened = 0
         self.config = V4l2CameraConfig.model_validate({"device": DEVICE, "width": 64, "height": 48, **settings})
         self.camera = V4l2Camera(self.config, self.clock, self.open)
+        self.time.hold_while(lambda: self.time.awake(self.camera._thread))
 
     def open(self) -> V4l2Capture:
         self.opened += 1
@@ -59,20 +60,6 @@ async def streaming(**settings: Any) -> AsyncIterator[Bench]:
         yield b
 
 
-async def going_on(b: Bench, work: Coroutine[Any, Any, None]) -> None:
-    """Let time go on while something waits for the camera's thread."""
-
-    async def tick() -> None:
-        while True:
-            await b.clock.sleep(1.0)
-
-    ticking = asyncio.create_task(tick())
-    try:
-        await work
-    finally:
-        ticking.cancel()
-
-
 async def test_a_stream_that_begins_slowly_is_waited_for() -> None:
     async with bench(first_frame_timeout_s=5.0) as b:
         b.video.begins_at_s = b.clock.now_s() + 3.0
@@ -94,7 +81,7 @@ async def test_a_stream_that_does_not_begin_is_named_and_the_camera_stays_inacti
         assert b.clock.now_s() - begun_s < 2.0 + REPORTED_WITHIN_S
         assert b.camera.lifecycle is Lifecycle.INACTIVE
         b.video.begins_at_s = 0.0
-        await going_on(b, b.camera.activate())
+        await going_on(b.clock, b.camera.activate())
         await b.camera.grab(b.clock.now_s(), 1.0)
 
 
@@ -173,7 +160,7 @@ async def test_a_camera_that_stays_frozen_is_lost_and_back_after_a_thaw_without_
             await b.camera.grab(b.clock.now_s() + 1.0, 30.0)
         assert lost.value.alarm is Alarm.CAMERA_UNAVAILABLE
         b.video.holds_s, b.video = None, ScriptedVideo(b.time)
-        await going_on(b, b.camera.connect())
+        await going_on(b.clock, b.camera.connect())
         await b.camera.activate()
         await b.camera.grab(b.clock.now_s(), 1.0)
         assert b.opened == 2
