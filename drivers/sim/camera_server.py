@@ -9,6 +9,7 @@ import threading
 from typing import TYPE_CHECKING, Final, Protocol
 
 from drivers.sim.camera_wire import FRAME, GRAB, HEADER, NO_FRAME, NOT_GRABBED, RETRIEVE
+from drivers.sim.one_client import has_event
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,6 +47,8 @@ class CameraServer:
         self._thread: threading.Thread | None = None
         self._connection: socket.socket | None = None
         self._closing = threading.Event()
+        self._in_hand = self._awaits_frame = False
+        time.hold_while(self._unread)
 
     def start(self) -> int:
         """Serve; return the port."""
@@ -69,6 +72,13 @@ class CameraServer:
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
 
+    def _unread(self) -> bool:
+        """Whether a request has come, or is in hand, and no frame is waited for."""
+        connection = self._connection
+        if connection is None or self._awaits_frame:
+            return False
+        return has_event(connection, select.POLLIN, 0) or self._in_hand
+
     def _serve(self, listener: socket.socket) -> None:
         with listener:
             while not self._closing.is_set():
@@ -87,6 +97,9 @@ class CameraServer:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         exposure: Exposure | None = None
         while not self._closing.is_set():
+            self._in_hand = False
+            connection.recv(1, socket.MSG_PEEK)
+            self._in_hand = True
             request = connection.recv(1)
             if request == GRAB:
                 exposure = self._next()
@@ -115,7 +128,9 @@ class CameraServer:
                     exposure is not None or self._time.now_s() >= until_s or self._closing.is_set() or self._time.closed
                 )
 
+            self._awaits_frame = True
             self._time.lock.wait_for(ready, _NO_FRAME_REAL_S)
+            self._awaits_frame = False
         return taken[0] if taken else None
 
     def _send_picture(self, connection: socket.socket, exposure: Exposure | None) -> None:

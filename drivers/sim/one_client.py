@@ -73,7 +73,7 @@ class OneClient:
     def unread(self) -> bool:
         """Whether something has come, a connection or its end too, that a thread has not yet dealt with."""
         ends = list(self._in_hand)  # without the lock, which is held while a client is slow to take an answer
-        return any(_wait(end, select.POLLIN, 0) or self._in_hand.get(end, False) for end in ends)
+        return any(has_event(end, select.POLLIN, 0) or self._in_hand.get(end, False) for end in ends)
 
     @property
     def connected(self) -> bool:
@@ -133,7 +133,7 @@ class OneClient:
     def _accept(self, listener: socket.socket, welcome: Callable[[socket.socket], object]) -> None:
         while True:
             self._in_hand[listener] = False
-            _wait(listener, select.POLLIN)
+            has_event(listener, select.POLLIN)
             self._in_hand[listener] = True
             connection, _ = listener.accept()  # an OSError where it was shut down
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -143,13 +143,13 @@ class OneClient:
     def _see_off(self) -> None:
         """Wait until all is dealt with that a client sent which has gone: nobody is served before."""
         with self.lock:
-            gone = self._client is None or _wait(self._client, select.POLLRDHUP, 0)
+            gone = self._client is None or has_event(self._client, select.POLLRDHUP, 0)
             server = self._server if gone else None
         if server is not None:
             server.join()
 
 
-def _wait(end: socket.socket, event: int, within_ms: int | None = None) -> bool:
+def has_event(end: socket.socket, event: int, within_ms: int | None = None) -> bool:
     """Return whether a socket has an event of `select.poll`; one that is closed has none."""
     poll = select.poll()
     with contextlib.suppress(ValueError):  # closed
