@@ -79,6 +79,7 @@ async def bench(
     config = FanucModbusConfig.model_validate({"port": port, "timeout_s": timeout_s, **settings})
     arm = FanucModbusArm(config, clock)
     clock.busy = lambda: arm._wire.busy
+    time.hold_while(lambda: time.awake(controller._scanner))
     try:
         yield Bench(time, clock, point, controller, arm, port)
     finally:

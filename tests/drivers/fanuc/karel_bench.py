@@ -76,6 +76,7 @@ async def karel_bench(
     clock = SteppedClock(time)
     arm = make_arm(clock, carrier, address, timeout_s=timeout_s, **{"poll_s": POLL_S, **settings})
     clock.busy = lambda: arm._session.busy
+    time.hold_while(lambda: time.awake(controller._scanner))
     try:
         yield KarelBench(time, clock, point, controller, arm, carrier, address)
     finally:

@@ -65,6 +65,7 @@ async def rmi_bench(
     clock = SteppedClock(time)
     arm = make_arm(clock, port=port, timeout_s=timeout_s, **settings)
     clock.busy = lambda: arm._session.busy and not controller.working
+    time.hold_while(lambda: time.awake(controller._scanner))
     try:
         yield RmiBench(time, clock, point, controller, arm, port)
     finally:
