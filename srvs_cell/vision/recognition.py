@@ -22,7 +22,7 @@ from srvs_cell.vision.evidence import Evidence
 from srvs_cell.vision.grasping import GraspParameters
 from srvs_cell.vision.kind_matching import group_faces
 from srvs_cell.vision.kinds import BUILT_IN_KINDS
-from srvs_cell.vision.recovery import find_places, rising_regions, unmatched_planes
+from srvs_cell.vision.recovery import find_places, place_unknown, rising_regions, unmatched_planes
 from srvs_cell.vision.tops import (
     add_tops,
     explained_polygons,
@@ -131,7 +131,7 @@ def recognise(
     tops, others = share_out(matched, tops, rig, table_z_mm)
     unknown = [surface for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
     explained = explained_polygons(tops, rig, table_z_mm)
-    unknown += find_places(rising_regions(unseen, explained, left.grey.shape), evidence)
+    unknown += place_unknown(rising_regions(unseen, explained, left.grey.shape), evidence)
     faces = [measure_face(top, left.grey, rig, reference) for top in tops]
     workpieces = [
         make_workpiece(group, faces, table_z_mm, limits.grasp)

@@ -112,27 +112,49 @@ def find_places(regions: Iterable[Region], evidence: Evidence) -> tuple[Surface,
         Surfaces, taken as level, without systematic errors, that are as large and as high as a part may be; their match
         has `NO_PLANE` on the right.
     """
-    surfaces = []
-    rig, limits = evidence.rig, evidence.limits
+    found = [_by_grey_values(region, evidence) for region in regions]
+    return tuple(surface for surface in found if surface is not None)
+
+
+def place_unknown(regions: Iterable[Region], evidence: Evidence) -> tuple[Surface, ...]:
+    """Give regions of the left image that are parts a place, whatever their grey values tell.
+
+    Returns:
+        Surfaces as above; one that the grey values do not place is half as high as a part may be, as unsure as that.
+    """
+    found = [_by_grey_values(region, evidence) or _somewhere(region, evidence) for region in regions]
+    return tuple(surface for surface in found if surface is not None)
+
+
+def _by_grey_values(region: Region, evidence: Evidence) -> Surface | None:
+    limits, rig = evidence.limits, evidence.rig
+    least, most = _disparities(region, evidence)
+    if not _possible(region, rig, most, (limits.min_size_mm, limits.max_size_mm)):
+        return None
     smooth = (evidence.fields[0].smooth, evidence.fields[1].smooth)
-    size_range_mm = (limits.min_size_mm, limits.max_size_mm)
-    heights_mm = (evidence.table_z_mm, evidence.table_z_mm + limits.max_height_mm)
-    low, high = (np.array(rig.plane_disparity(_UP, z_mm)) for z_mm in heights_mm)
-    for region in regions:
-        centre = region.centre_px
-        least, most = (float(plane @ (*centre, 1.0)) for plane in (low, high))
-        if not _possible(region, rig, most, size_range_mm):
-            continue
-        found = _best_disparity(region, smooth, (least - _MARGIN_PX, most + _MARGIN_PX))
-        if found is None:
-            continue
-        disparity, correlation = found
-        level = _level_plane(rig, centre, disparity)
-        match = PlaneMatch(region.plane, NO_PLANE, correlation, disparity, level, _SIGMA_PX)
-        surface = place_surface(mask_outline_px(region.mask, region.corner_px), centre, match, rig, systematic=False)
-        if surface is not None:
-            surfaces.append(surface)
-    return tuple(surfaces)
+    found = _best_disparity(region, smooth, (least - _MARGIN_PX, most + _MARGIN_PX))
+    return None if found is None else _placed(region, *found, _SIGMA_PX, rig)
+
+
+def _somewhere(region: Region, evidence: Evidence) -> Surface | None:
+    least, most = _disparities(region, evidence)
+    return _placed(region, (least + most) / 2.0, 0.0, (most - least) / np.sqrt(12.0), evidence.rig)
+
+
+def _disparities(region: Region, evidence: Evidence) -> tuple[float, float]:
+    """Return the disparities of a region's centre on the table and as high as a part may be."""
+    heights_mm = (evidence.table_z_mm, evidence.table_z_mm + evidence.limits.max_height_mm)
+    low, high = (np.array(evidence.rig.plane_disparity(_UP, z_mm)) @ (*region.centre_px, 1.0) for z_mm in heights_mm)
+    return float(low), float(high)
+
+
+def _placed(
+    region: Region, disparity_px: float, correlation: float, sigma_px: float, rig: RectifiedRig
+) -> Surface | None:
+    level = _level_plane(rig, region.centre_px, disparity_px)
+    match = PlaneMatch(region.plane, NO_PLANE, correlation, disparity_px, level, sigma_px)
+    border_px = mask_outline_px(region.mask, region.corner_px)
+    return place_surface(border_px, region.centre_px, match, rig, systematic=False)
 
 
 def _possible(region: Region, rig: RectifiedRig, disparity_px: float, size_range_mm: tuple[float, float]) -> bool:

@@ -20,6 +20,7 @@ from srvs_cell.vision.runs import joined, runs_of, touching_runs
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from cv2.typing import MatLike
     from numpy.typing import ArrayLike, NDArray
 
     from srvs_cell.calibration import TableReference
@@ -58,6 +59,8 @@ _MIN_OUTLINE_PX = 600.0
 _JOIN_PX = 7
 _SEAM_PX = 11
 """What reaches no farther out of an explained polygon than half of this is its seam."""
+_MOSTLY = 0.5
+"""What is explained to a larger share is a part's surroundings, not another one between two borders."""
 _MIN_ROWS = 0.6
 """Share of their rows that the left and the right border of one face have in common."""
 
@@ -202,8 +205,8 @@ def rising_outlines(relief: Relief, explained: Iterable[Array], min_area_px: int
     Args:
         relief: what rises.
         explained: polygons in the left image whose insides are explained.
-        min_area_px: pieces of fewer rising pixels are left out, and pieces are not taken together; None for pieces
-            that may be the border of a face.
+        min_area_px: pieces of fewer rising pixels are left out, and only pieces that are too small by themselves
+            are taken together; None for pieces that may be the border of a face.
     """
     inside = np.zeros(relief.rises.shape, dtype=np.uint8)
     for polygon in explained:
@@ -212,13 +215,25 @@ def rising_outlines(relief: Relief, explained: Iterable[Array], min_area_px: int
     mask = cv2.bitwise_and(relief.rises.view(np.uint8), cv2.bitwise_not(inside))
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_JOIN_PX, _JOIN_PX), np.uint8))
     pieces = _pieces(np.asarray(closed, dtype=np.uint8), beside, min_area_px or _MIN_AREA_PX)
-    outlines = [piece.outline for piece in pieces]
-    if min_area_px is None:
-        outlines += [
-            np.concatenate([one.outline, other.outline]) for one, other in combinations(pieces, 2) if one.beside(other)
-        ]
-    hulls = [cv2.convexHull(points) for points in outlines]
+    hulls = [cv2.convexHull(piece.outline) for piece in pieces]
+    small = [cv2.contourArea(hull) < _MIN_OUTLINE_PX for hull in hulls]
+    borders = [piece for piece, alone in zip(pieces, small, strict=True) if alone or min_area_px is None]
+    between = [
+        cv2.convexHull(np.concatenate([one.outline, other.outline]))
+        for one, other in combinations(borders, 2)
+        if one.beside(other)
+    ]
+    hulls += between if min_area_px is None else [hull for hull in between if _share(inside, hull) < _MOSTLY]
     return [hull.reshape(-1, 2).astype(np.float64) for hull in hulls if cv2.contourArea(hull) >= _MIN_OUTLINE_PX]
+
+
+def _share(mask: NDArray[np.uint8], hull: MatLike) -> float:
+    """Return how much of a convex outline's inside a mask covers."""
+    corners = np.rint(hull).astype(np.int32)
+    left, top, width, height = cv2.boundingRect(corners)
+    within = np.zeros((height, width), dtype=np.uint8)
+    cv2.fillConvexPoly(within, corners - (left, top), 1)
+    return cv2.mean(mask[top : top + height, left : left + width], within)[0]
 
 
 @dataclass(frozen=True, eq=False)

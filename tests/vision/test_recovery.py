@@ -9,7 +9,7 @@ import pytest
 from srvs_cell.scene import PlaneImage
 from srvs_cell.vision.evidence import Evidence
 from srvs_cell.vision.recognition import RecognitionParameters
-from srvs_cell.vision.recovery import NO_PLANE, Region, find_places, rising_regions
+from srvs_cell.vision.recovery import NO_PLANE, Region, find_places, place_unknown, rising_regions
 from tests.vision.painted import SIZE, TABLE_Z_MM, Part, cuboid, cylinder, paint, rig
 
 DISC = cylinder(500.0, 50.0, 20.0, 40.0, 170)
@@ -35,6 +35,23 @@ def test_a_face_beside_a_brighter_part_at_another_height_gets_its_own_height(oth
     evidence = Evidence.of(*images, rig(), TABLE_Z_MM, RecognitionParameters())
     (surface,) = find_places([region_of(DISC, left)], evidence)
     assert surface.centre_mm[2] == pytest.approx(DISC.face.z_mm, abs=4.0)
+
+
+def test_what_the_grey_values_do_not_place_is_there_all_the_same() -> None:
+    """Bare table in the right image: nothing correlates, but something rises in the left one."""
+    left, right = paint([DISC], rig())[0], paint([], rig())[1]
+    nothing = np.zeros((SIZE[1], SIZE[0]), np.int32)
+    images = (PlaneImage(left, nothing, ()), PlaneImage(right, nothing, ()))
+    limits = RecognitionParameters()
+    evidence = Evidence.of(*images, rig(), TABLE_Z_MM, limits)
+    region = region_of(DISC, left)
+    assert find_places([region], evidence) == ()
+    (surface,) = place_unknown([region], evidence)
+    assert np.hypot(surface.centre_mm[0] - 500.0, surface.centre_mm[1] - 50.0) < 20.0
+    half_mm = limits.max_height_mm / 2.0
+    assert surface.centre_mm[2] - TABLE_Z_MM == pytest.approx(half_mm, abs=0.3 * half_mm)
+    # any height that a part may have lies within two sigma
+    assert 2.0 * surface.covariance_mm2[2, 2] ** 0.5 > half_mm
 
 
 def test_what_known_parts_explain_is_no_part_of_something_unknown() -> None:

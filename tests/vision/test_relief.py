@@ -95,10 +95,14 @@ def test_a_face_whose_border_shows_in_two_pieces_is_enclosed_by_both_together() 
     relief = Relief(rises, 0.5, np.ones(shape, dtype=np.bool_))
     boxes = [(tuple(outline.min(axis=0)), tuple(outline.max(axis=0))) for outline in rising_outlines(relief, [])]
     assert ((50.0, 60.0), (135.0, 119.0)) in boxes
-    # pieces of something unknown are not taken together
-    assert ((50.0, 60.0), (135.0, 119.0)) not in [
-        (tuple(outline.min(axis=0)), tuple(outline.max(axis=0))) for outline in rising_outlines(relief, [], 100)
-    ]
+    # what is left at the end is taken together where it is too little by itself, and is not beside a known part
+    (left_over,) = rising_outlines(relief, [], 100)
+    assert (*left_over.min(axis=0), *left_over.max(axis=0)) == (50.0, 60.0, 135.0, 119.0)
+    between = np.array([[62.0, 55.0], [124.0, 55.0], [124.0, 125.0], [62.0, 125.0]])
+    assert rising_outlines(relief, [between], 100) == []
+    rises[60:120, 44:62] = rises[60:120, 124:142] = True
+    assert len(rising_outlines(relief, [], 100)) == 2
+    rises[60:120, 44:50] = rises[60:120, 56:62] = rises[60:120, 124:130] = rises[60:120, 136:142] = False
     # one above the other they are not two borders of one face
     rises[:] = False
     rises[20:60, 50:56] = rises[120:160, 130:136] = True
