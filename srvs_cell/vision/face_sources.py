@@ -1,8 +1,8 @@
 """Step 11e, beyond the paper: where the top faces may come from that explain what rises, the cheapest source first.
 
-Two straight borders in space span a face to a millimetre; a plane that matching left without a partner may be one; and
-a search for every figure at every height finds what has neither. What a source proposes suits edges and grey values;
-which of the proposals stand is for `verification` to say.
+Two straight borders in space span a face to a millimetre, one tells all but how far it reaches; a plane that matching
+left without a partner may be one; and a search for every figure at every height finds what has neither. What a source
+proposes suits edges and grey values; which of the proposals stand is for `verification` to say.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srvs_cell.vision.bordered_faces import bordered_faces
 from srvs_cell.vision.ledges import find_ledges, find_lines
 from srvs_cell.vision.recovery import find_places
 from srvs_cell.vision.rising_faces import different, fit_rising
@@ -62,7 +63,7 @@ class Sources:
     _from_borders: list[Witnesses] = field(default_factory=list)
 
     def from_lines(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
-        """Return the faces that two borders in space span, where they need no other witness."""
+        """Return the faces that one or two borders in space tell, where they need no other witness."""
         return [both for both in self._from_ledges(outlines) if both.misfit_px2 < CONVINCING_PX2]
 
     def from_planes(self, _: list[Array], known: list[Top]) -> list[Witnesses]:
@@ -73,7 +74,7 @@ class Sources:
         return self.bench.settled([both for both in self.bench.by_profiles(there) if both is not None])
 
     def from_search(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
-        """Return what a search for every figure at every height finds, and all that borders in space span."""
+        """Return what a search for every figure at every height finds, and all that borders in space tell."""
         rising = fit_rising(outlines, self.evidence, self._lenient)
         there = [
             (edges, fit)
@@ -85,11 +86,12 @@ class Sources:
         return self._from_ledges(outlines) + self.bench.settled(believed)
 
     def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:
-        """Return the faces that borders span over these outlines or earlier ones, those that suit the pictures."""
+        """Return the faces that borders tell over these outlines or earlier ones, those that suit the pictures."""
         fresh = [one for one in outlines if not any(np.array_equal(one, other) for other in self._outlines)]
         self._outlines.extend(fresh)
         new = spanned_faces(self._ledges, fresh, self.bench.rig, self._spanned)
         self._spanned.extend(new)
+        new += bordered_faces(self._ledges, fresh, self.bench.rig, self.bench.table_z_mm)
         found = self._lenient.from_lines(new, self.evidence.limits.max_rms_px)
         kept = different([both.by_profiles for both in found])
         self._from_borders.extend(self._lenient.settled([found[number] for number in kept]))

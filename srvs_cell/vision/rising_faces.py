@@ -73,7 +73,7 @@ def fit_rising(outlines: Iterable[Array], evidence: Evidence, bench: Bench) -> l
     near, far = (1.0 / (camera_z_mm - table_z_mm - height) for height in (limits.min_height_mm, limits.max_height_mm))
     levels = camera_z_mm - 1.0 / np.linspace(near, far, _HEIGHTS)
     for outline in outlines:
-        doubled = [(float(z_mm), _without_parallax(outline, rig, float(z_mm), table_z_mm)) for z_mm in levels]
+        doubled = [(float(z_mm), without_parallax(outline, rig, float(z_mm), table_z_mm)) for z_mm in levels]
         seeds = [[(z_mm, border) for z_mm, border in doubled if border is not None]]
         seeds += [
             [(float(z_mm), _laid(piece, rig, float(z_mm))) for z_mm in levels]
@@ -218,7 +218,7 @@ def _fitted(starts: Sequence[Face], bench: Bench, effort: Effort) -> list[FaceFi
     return [fit for fit in fits if fit is not None]
 
 
-def _without_parallax(outline: Array, rig: RectifiedRig, z_mm: float, table_z_mm: float) -> Array | None:
+def without_parallax(outline: Array, rig: RectifiedRig, z_mm: float, table_z_mm: float) -> Array | None:
     """Return the face, seen from above, shape (N, 2), that its doubled outline encloses if it is at a height.
 
     The outline encloses the face and the face moved to the left by its parallax: the face is what the outline and the
