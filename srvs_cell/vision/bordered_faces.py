@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from srvs_cell.vision.faces import Face, Figure, same_place
-from srvs_cell.vision.ledges import LEAST_SIDE_MM
+from srvs_cell.vision.ledges import LEAST_SIDE_MM, MOST_SIDE_MM, SAME_MM
 from srvs_cell.vision.rising_faces import without_parallax
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from srvs_cell.geometry import Array
     from srvs_cell.vision.ledges import Ledges
@@ -27,13 +26,11 @@ _LEAST_MM = 12.0
 """A shorter line may be anything."""
 _MOST_BORDERS = 4
 """So many of the longest borders of an outline are tried."""
-_MARGIN_PX = 6.0
-"""A border of the face runs inside the outline of what rises, or along it."""
-_MOST_MM = 160.0
-_SAME_MM = 2.0
 
 
-def bordered_faces(ledges: Ledges, outlines_px: Iterable[Array], rig: RectifiedRig, table_z_mm: float) -> list[Face]:
+def bordered_faces(
+    ledges: Ledges, outlines_px: Iterable[Array], rig: RectifiedRig, table_z_mm: float, known: Sequence[Face] = ()
+) -> list[Face]:
     """Return the different level rectangles that have a level ledge as a side and reach to the end of an outline.
 
     Args:
@@ -41,28 +38,24 @@ def bordered_faces(ledges: Ledges, outlines_px: Iterable[Array], rig: RectifiedR
         outlines_px: convex outlines of what rises, in the left image, each of shape (N, 2).
         rig: the rectified cameras.
         table_z_mm: height of the table, base frame.
+        known: faces that were returned before, or that two borders span: they are left out.
     """
-    found: list[Face] = []
+    found = list(known)
     for outline_px in outlines_px:
         for ends_mm in _longest(ledges, outline_px):
             inside_mm = without_parallax(outline_px, rig, float(ends_mm[0, 2]), table_z_mm)
             faces = [] if inside_mm is None else _reaching(ends_mm, inside_mm)
-            found += [face for face in faces if not any(same_place(face, other, _SAME_MM) for other in found)]
-    return found
+            found += [face for face in faces if not any(same_place(face, other, SAME_MM) for other in found)]
+    return found[len(known) :]
 
 
 def _longest(ledges: Ledges, outline_px: Array) -> list[Array]:
     """Return the ends of the longest level ledges at an outline, each of shape (2, 3)."""
-    outline = outline_px.astype(np.float32)
     run = ledges.ends_mm[:, 1] - ledges.ends_mm[:, 0]
     length_mm = np.linalg.norm(run, axis=1)
-    level = np.flatnonzero((run[:, 2] == 0.0) & (length_mm > _LEAST_MM))
-    beside = [
-        row
-        for row in level[np.argsort(-length_mm[level])].tolist()
-        if cv2.pointPolygonTest(outline, tuple(ledges.middle_px[row].tolist()), measureDist=True) > -_MARGIN_PX
-    ]
-    return [ledges.ends_mm[row] for row in beside[:_MOST_BORDERS]]
+    level = (run[:, 2] == 0.0) & (length_mm > _LEAST_MM)
+    there = np.flatnonzero(level & ledges.at_outline(outline_px.astype(np.float32)))
+    return list(ledges.ends_mm[there[np.argsort(-length_mm[there])[:_MOST_BORDERS]]])
 
 
 def _reaching(ends_mm: Array, inside_mm: Array) -> list[Face]:
@@ -80,7 +73,7 @@ def _reaching(ends_mm: Array, inside_mm: Array) -> list[Face]:
     across = float(v.max()) if v.max() > -v.min() else float(v.min())
     faces = []
     for low, high in ((-length_mm / 2.0, length_mm / 2.0), (float(u.min()), float(u.max()))):
-        if min(high - low, abs(across)) > LEAST_SIDE_MM and max(high - low, abs(across)) < _MOST_MM:
+        if min(high - low, abs(across)) > LEAST_SIDE_MM and max(high - low, abs(across)) < MOST_SIDE_MM:
             x_mm, y_mm = (float(value) for value in middle + ((low + high) / 2.0, across / 2.0) @ axes)
             angle_rad = float(np.arctan2(along[1], along[0]))
             faces.append(Face(Figure.RECTANGLE, x_mm, y_mm, float(ends_mm[0, 2]), angle_rad, high - low, abs(across)))

@@ -59,7 +59,7 @@ class Sources:
     evidence: Evidence
     bench: Bench
     _outlines: list[Array] = field(default_factory=list)
-    _spanned: list[Face] = field(default_factory=list)
+    _told: list[Face] = field(default_factory=list)
     _from_borders: list[Witnesses] = field(default_factory=list)
 
     def from_lines(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
@@ -89,9 +89,10 @@ class Sources:
         """Return the faces that borders tell over these outlines or earlier ones, those that suit the pictures."""
         fresh = [one for one in outlines if not any(np.array_equal(one, other) for other in self._outlines)]
         self._outlines.extend(fresh)
-        new = spanned_faces(self._ledges, fresh, self.bench.rig, self._spanned)
-        self._spanned.extend(new)
-        new += bordered_faces(self._ledges, fresh, self.bench.rig, self.bench.table_z_mm)
+        rig, table_z_mm = self.bench.rig, self.bench.table_z_mm
+        new = spanned_faces(self._ledges, fresh, rig, self._told)
+        new += bordered_faces(self._ledges, fresh, rig, table_z_mm, [*self._told, *new])
+        self._told.extend(new)
         found = self._lenient.from_lines(new, self.evidence.limits.max_rms_px)
         kept = different([both.by_profiles for both in found])
         self._from_borders.extend(self._lenient.settled([found[number] for number in kept]))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from srvs_cell.vision.edges import EdgeParameters, extract_edges
@@ -38,6 +39,12 @@ STEEPEST = 1.2
 """Rise per millimetre of the steepest top face: fifty degrees."""
 LEAST_SIDE_MM = 5.0
 """A shorter border belongs to no part."""
+MOST_SIDE_MM = 160.0
+"""No side of a part is longer, and borders that are farther apart belong to different parts."""
+SAME_MM = 2.0
+"""Two lines of one border tell the same face twice."""
+_MARGIN_PX = 6.0
+"""A border of a face runs inside the outline of what rises, or along it."""
 _LEAST_PX = 1.0
 """Least disparity: what is extrapolated stays in front of the camera."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -54,6 +61,11 @@ class Ledges:
 
     ends_mm: Array
     middle_px: Array
+
+    def at_outline(self, outline: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return which run inside a convex outline of the left image, shape (K, 2), or along it; shape (N,)."""
+        beside_px = [cv2.pointPolygonTest(outline, (float(x), float(y)), measureDist=True) for x, y in self.middle_px]
+        return np.array(beside_px) > -_MARGIN_PX
 
 
 def find_lines(grey: NDArray[np.uint8]) -> LineImage:

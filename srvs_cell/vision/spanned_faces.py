@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, same_place
-from srvs_cell.vision.ledges import LEAST_RISE, LEAST_SIDE_MM, STEEPEST
+from srvs_cell.vision.ledges import LEAST_RISE, LEAST_SIDE_MM, MOST_SIDE_MM, SAME_MM, STEEPEST
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -33,14 +33,8 @@ _LEAST_SHARED = 0.4
 """Share of the shorter one of opposite borders that lies beside the other one."""
 _GAP_SHARE = 0.35
 """Share of a side that may be missing at a corner."""
-_MARGIN_PX = 6.0
-"""A border of the face runs inside the outline of what rises, or along it."""
-_MOST_APART_MM = 160.0
-"""Borders whose middles are farther from each other belong to different parts."""
 _COVERED = 0.4
 """Share of the smaller one that a face and the outline of what rises there have in common."""
-_SAME_MM = 2.0
-"""Two lines of one border span the same face twice."""
 _MOST_FACES = 60
 """Print has lines enough to span more: those of the longest borders are enough."""
 
@@ -59,7 +53,7 @@ def spanned_faces(
     found = list(known)
     for outline_px in outlines_px:
         faces = _over(outline_px.astype(np.float32), ledges, rig)
-        found += [face for face in faces if not any(same_place(face, other, _SAME_MM) for other in found)]
+        found += [face for face in faces if not any(same_place(face, other, SAME_MM) for other in found)]
     return found[len(known) :]
 
 
@@ -68,7 +62,7 @@ def _over(outline: NDArray[np.float32], ledges: Ledges, rig: RectifiedRig) -> li
     faces: list[Face] = []
     for longer, shorter in _pairs(ledges, outline):
         for face in _span(longer, shorter):
-            if _covers(face, outline, rig) and not any(same_place(face, known, _SAME_MM) for known in faces):
+            if _covers(face, outline, rig) and not any(same_place(face, known, SAME_MM) for known in faces):
                 faces.append(face)
         if len(faces) >= _MOST_FACES:
             break
@@ -77,15 +71,14 @@ def _over(outline: NDArray[np.float32], ledges: Ledges, rig: RectifiedRig) -> li
 
 def _pairs(ledges: Ledges, outline: NDArray[np.float32]) -> list[tuple[Array, Array]]:
     """Return pairs of ledges that may be sides of one face, at least one of them at the outline; the longest first."""
-    beside_px = [cv2.pointPolygonTest(outline, (float(x), float(y)), measureDist=True) for x, y in ledges.middle_px]
     run = ledges.ends_mm[:, 1] - ledges.ends_mm[:, 0]
     length_mm = np.linalg.norm(run, axis=1)
     direction_deg = np.rad2deg(np.arctan2(run[:, 1], run[:, 0]))
     turned_deg = (direction_deg[:, None] - direction_deg + 45.0) % 90.0 - 45.0
     middle_mm = ledges.ends_mm.mean(axis=1)
     apart_mm = np.linalg.norm(middle_mm[:, None] - middle_mm, axis=2)
-    related = (np.abs(turned_deg) < _SQUARE_DEG) & (apart_mm < _MOST_APART_MM)
-    at_outline = np.array(beside_px) > -_MARGIN_PX
+    related = (np.abs(turned_deg) < _SQUARE_DEG) & (apart_mm < MOST_SIDE_MM)
+    at_outline = ledges.at_outline(outline)
     first, second = np.nonzero(np.triu(related & (at_outline[:, None] | at_outline), 1))
     pairs = sorted(
         (sorted(pair, key=lambda row: -length_mm[row]) for pair in zip(first, second, strict=True)),

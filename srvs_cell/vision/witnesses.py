@@ -41,16 +41,13 @@ _DOUBTFUL_PX2 = 0.2
 _CLEAR_GAIN = 0.7
 """Another rectangle must have less than this share of the misfit."""
 _INCLINED_GAIN = 0.93
-"""An inclined rectangle must suit better than the level one by more than its one parameter more does.
-
-On the benchmark's scenes no cuboid's misfit fell at all.
-"""
+"""An inclined rectangle must suit better than the level one by more than its one parameter more does."""
 _LEVEL_SLOPE = 0.05
 """Edges that fit well and show less rise per millimetre speak for a level face."""
 _SLACK_PX = 0.05
 """By this much more a fit may miss by chance."""
 _TWIN_SLACK_PX = 0.12
-"""By this much more the grey values of a level figure may miss than an inclined one's, which reaches more of them."""
+"""The same for the grey values of a level and of an inclined figure: a slope takes more of them with it."""
 _RIVALRY = 4
 """With this power of the ratio of their misfits a figure that suits worse counts."""
 _ROUNDS = 2

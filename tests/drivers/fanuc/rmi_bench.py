@@ -40,8 +40,7 @@ class RmiBench:
 
     async def heard(self) -> None:
         """Return when the double has dealt with all that was sent, a session's end too; the driver does not wait."""
-        await asyncio.sleep(0)  # a socket is closed in the loop's next turn
-        self.time.advance_to(self.time.now_s())
+        await self.clock.sleep(0.0)
 
     def begin_move(self) -> asyncio.Task[Xyzwpr]:
         return asyncio.create_task(self.arm.move_linear(TARGET, SPEED_MM_S))
