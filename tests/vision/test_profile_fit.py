@@ -44,6 +44,20 @@ def test_a_faint_face_is_found_from_three_pixels_off_to_tenths_of_a_millimetre()
     assert 0.1 < ratio < 4.0
 
 
+def test_where_a_fit_comes_to_rest_is_not_where_it_began() -> None:
+    """Cut short, these would stay half a millimetre apart."""
+    pictures = pictures_of([faint()], noise=1.0)
+    z_mm = BOX.face.z_mm + 6.0
+    starts = [
+        replace(BOX.face, x_mm=BOX.face.x_mm + off_mm, length_mm=BOX.face.length_mm + longer_mm, z_mm=z_mm)
+        for off_mm, longer_mm in ((2.0, 3.0), (2.5, 4.0), (3.0, 5.0), (1.5, 6.0))
+    ]
+    fits = fit_profiles(starts, [False] * len(starts), pictures, rig(), TABLE_Z_MM, SETTLE)
+    rest = np.array([[fit.face.x_mm, fit.face.length_mm] for fit in fits if fit is not None])
+    assert len(rest) == len(starts)
+    assert np.ptp(rest, axis=0).max() < 0.1
+
+
 def test_noise_widens_the_covariance() -> None:
     calm, loud = (
         fit_profiles([BOX.face], [False], pictures_of([faint()], noise=noise), rig(), TABLE_Z_MM, SETTLE)[0]
