@@ -56,6 +56,8 @@ _FOUND = 0.4
 _TURNED = 2.5
 """Rows by which the left and the right third of the picture differ where one camera is turned about its axis."""
 _THIRD = 1.0 / 3.0
+_SHARP = 0.02
+"""What two rows off its place a block must correlate less: one on a straight edge is found anywhere along the edge."""
 
 
 def check_picture(grey: Image, name: str) -> None:
@@ -150,6 +152,7 @@ class _Sought:
     Attributes:
         alike: correlation there.
         row: rows below its own.
+        sharp: whether the row is sure.
         x: column of the block.
         above: disparity less that of the table.
         highest: what that may be at most.
@@ -157,15 +160,16 @@ class _Sought:
 
     alike: float
     row: float
+    sharp: bool
     x: float
     above: float
     highest: float
 
 
 def _turn(seen: list[_Sought], width: int) -> float:
-    """Return by how many rows blocks lie lower in the right third of the picture than in the left one."""
-    left = [one.row for one in seen if one.x < _THIRD * width]
-    right = [one.row for one in seen if one.x > (1.0 - _THIRD) * width]
+    """Return by how many rows blocks lie lower in the right third of the picture than in the left one, 0 if unknown."""
+    left = [one.row for one in seen if one.sharp and one.x < _THIRD * width]
+    right = [one.row for one in seen if one.sharp and one.x > (1.0 - _THIRD) * width]
     return float(np.median(right) - np.median(left)) if left and right else 0.0
 
 
@@ -201,6 +205,9 @@ def _sought(
     low, high = max(low, 0), min(high, width)
     block = left[y - _HALF_BLOCK : y + _HALF_BLOCK + 1, x - _HALF_BLOCK : x + _HALF_BLOCK + 1]
     scores = np.asarray(cv2.matchTemplate(right[top:bottom, low:high], block, cv2.TM_CCOEFF_NORMED))
-    row, column = np.unravel_index(int(scores.argmax()), scores.shape)
-    disparity = x - (low + int(column) + _HALF_BLOCK)
-    return _Sought(float(scores.max()), float(row) - _ROWS, float(x), disparity - least, greatest - least)
+    row, column = (int(index) for index in np.unravel_index(int(scores.argmax()), scores.shape))
+    by_row = scores.max(axis=1)
+    alike, off = float(by_row[row]), np.abs(np.arange(by_row.size) - row) > 1
+    sharp = bool(alike - by_row[off].max() > _SHARP)
+    disparity = x - (low + column + _HALF_BLOCK)
+    return _Sought(alike, float(row - _ROWS), sharp, float(x), disparity - least, greatest - least)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,7 +16,8 @@ from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.geometry import Transform
 from srvs_cell.vision import StereoView, VisionParameters, perceive
 from srvs_cell.vision.picture_check import check_pair, check_picture
-from srvs_cell.vision.rectification import rectify_pair
+from srvs_cell.vision.rectification import RectifiedPair, rectify_pair
+from tests.vision.painted import SIZE, TABLE_Z_MM, rig
 from tests.vision.rendered import part, stereo_pair
 
 if TYPE_CHECKING:
@@ -111,6 +113,23 @@ def test_a_pose_that_is_turned_by_a_degree_is_refused(scene: Scene, w_deg: float
     with pytest.raises(AlarmError, match="poses or a table height") as caught:
         checked(left, right, replace(view, base_T_tcp_right=Transform.from_xyzwpr("base", "tcp", turned)))
     assert caught.value.alarm is Alarm.PAIR_INCONSISTENT
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_straight_edge_alone_does_not_tell_a_turn(seed: int) -> None:
+    """Along the only edge of the right third every row looks alike: which is found is the noise's choice."""
+    cameras = rig()
+    rng = np.random.default_rng(seed)
+    width, height = SIZE
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    a, b, c = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), TABLE_Z_MM)
+    grain = cv2.GaussianBlur(rng.normal(size=(height, width)).astype(np.float32), (0, 0), 2.5)
+    left = 110.0 + 20.0 * grain / grain.std() * (x < 0.6 * width) + 60.0 * (x - 0.7 * y > 300.0) * (x > 0.7 * width)
+    # the table point that a right pixel shows, in the left image
+    right = cv2.remap(left, (x + b * y + c).astype(np.float32) / np.float32(1.0 - a), y, cv2.INTER_CUBIC)
+    pictures = [np.clip(picture + rng.normal(0.0, 2.0, x.shape), 0, 255).astype(np.uint8) for picture in (left, right)]
+    seen = np.ones(x.shape, dtype=np.bool_)
+    check_pair(RectifiedPair(pictures[0], pictures[1], seen, seen, cameras), TABLE_Z_MM, 120.0)
 
 
 def test_a_table_that_is_elsewhere_is_refused(scene: Scene) -> None:
