@@ -67,10 +67,12 @@ def inner_displacements(
     left, slope_left = _read(fields[0], x, y)
     right, slope_right = _read(fields[1], x - disparity, y)
     slope = 0.5 * (slope_left + slope_right)
-    u, v = unit.T
     ones = np.ones_like(left)
-    # offset and gain of the right picture, and the displacement as a plane over the face
-    columns = np.stack([ones, left - left.mean(axis=1, keepdims=True), slope, slope * u, slope * v], axis=-1)
+    u, v = (np.broadcast_to(axis, left.shape) for axis in unit.T)
+    # what lens and lamp make of the right picture, offset, gain and their change over the face; then the displacement
+    # as a plane over it: on a smooth gradient of grey values a change that was left out would pass for one
+    light = [ones, u, v, left - left.mean(axis=1, keepdims=True)]
+    columns = np.stack([*light, slope, slope * u, slope * v], axis=-1)
     difference = right - left
     weights, least = ones, _SMOOTHED_NOISE * noise
     for _ in range(_PASSES):
@@ -81,8 +83,8 @@ def inner_displacements(
         sigma = np.maximum(_MAD * np.median(np.abs(residual), axis=1), least)
         weights = 1.0 / (1.0 + (residual / (_ROBUST_SIGMA * sigma[:, None])) ** 2) ** 2
     counted = np.maximum(1.0, _INDEPENDENT_PX2 / _area_px2(x, y))
-    variance = np.einsum("bii->bi", np.linalg.inv(normal))[:, 2:] * (sigma**2 * counted)[:, None]
-    beyond = estimate[:, 2:, 0] ** 2 - variance - _SYSTEMATIC_PX**2
+    variance = np.einsum("bii->bi", np.linalg.inv(normal))[:, len(light) :] * (sigma**2 * counted)[:, None]
+    beyond = estimate[:, len(light) :, 0] ** 2 - variance - _SYSTEMATIC_PX**2
     return [float(value) for value in np.minimum(np.maximum(beyond, 0.0) @ _WEIGHTS, _MOST_PX2)]
 
 

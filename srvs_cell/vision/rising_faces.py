@@ -7,21 +7,20 @@ it is, is seen by fitting them to the grey values of both images.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from srvs_cell.vision.face_pieces import face_pieces, plane_hulls
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, inclined_faces, same_place
 from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
-
     from srvs_cell.geometry import Array
-    from srvs_cell.scene import PlaneImage
     from srvs_cell.vision.evidence import Evidence
     from srvs_cell.vision.face_fit import FaceFit
     from srvs_cell.vision.profile_fit import Effort
@@ -31,15 +30,6 @@ if TYPE_CHECKING:
 _HEIGHTS = 8
 _INCLINED_STRIDE = 2
 """Inclined faces reach over more heights than level ones: every second one is enough for them."""
-_MARGIN_PX = 3
-_SMOOTHING_PX = 1.2
-_BLACK = 4.0
-"""Grey value below which contrast is noise: keeps the logarithm from blowing it up."""
-_BINS = 48
-_MIN_PIECE_PX = 150
-_MIN_SOLIDITY = 0.85
-_MOST_OF_OUTLINE = 1.5
-"""A plane that covers more than this much of the outline it lies in is the table."""
 _BEST_OF_KIND = 8
 _ABSENT_PX = 1.0
 """So far off is a border that is not there."""
@@ -72,12 +62,13 @@ def fit_rising(outlines: Iterable[Array], evidence: Evidence, bench: Bench) -> l
     camera_z_mm = float(rig.base_T_camera.translation_mm[2])
     near, far = (1.0 / (camera_z_mm - table_z_mm - height) for height in (limits.min_height_mm, limits.max_height_mm))
     levels = camera_z_mm - 1.0 / np.linspace(near, far, _HEIGHTS)
+    planes = plane_hulls(evidence.left, rig, table_z_mm, limits.max_size_mm)
     for outline in outlines:
         doubled = [(float(z_mm), without_parallax(outline, rig, float(z_mm), table_z_mm)) for z_mm in levels]
         seeds = [[(z_mm, border) for z_mm, border in doubled if border is not None]]
         seeds += [
             [(float(z_mm), _laid(piece, rig, float(z_mm))) for z_mm in levels]
-            for piece in (*grey_pieces(bench.pictures.images[0], outline), *_planes_inside(evidence.left, outline))
+            for piece in face_pieces(bench.pictures.images[0], outline, planes)
         ]
         fits = [fit for fit in _fits_of(seeds, bench) if bench.possible(fit)]
         level = min((fit for fit in fits if fit.face.slope_u == 0.0), key=_misfit, default=None)
@@ -129,7 +120,10 @@ def _is_inclined(fit: FaceFit) -> bool:
 
 
 def _fits_of(seeds: list[list[tuple[float, Array]]], bench: Bench) -> list[FaceFit]:
-    """Return the fits that seeds lead to: each figure is scouted at each height, the promising ones are fitted."""
+    """Return the fits that seeds lead to: each figure is scouted at each height, the promising ones are fitted.
+
+    One that comes out next to level is fitted as level besides.
+    """
     starts = [
         face
         for seed in seeds
@@ -138,60 +132,9 @@ def _fits_of(seeds: list[list[tuple[float, Array]]], bench: Bench) -> list[FaceF
     ]
     starts += [face for seed in seeds for z_mm, border in seed for face in _figures(border, z_mm)]
     scouted = sorted(_fitted(starts, bench, SCOUT), key=_misfit)
-    return _fitted([fit.face for fit in _promising(scouted)], bench, REACH)
-
-
-def _planes_inside(left: PlaneImage, outline: Array) -> list[Array]:
-    """Return the convex hulls of the planes inside an outline, each of shape (N, 2)."""
-    polygon = outline.astype(np.float32)
-    hulls = []
-    for plane in left.planes:
-        if plane.area_px < _MIN_PIECE_PX or cv2.pointPolygonTest(polygon, plane.centre_px, measureDist=False) < 0:
-            continue
-        x, y, width, height = plane.box_px
-        mask = (left.labels[y : y + height, x : x + width] == plane.id).astype(np.uint8)
-        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        hull = cv2.convexHull(np.concatenate(contours)).reshape(-1, 2)
-        if cv2.contourArea(hull) <= _MOST_OF_OUTLINE * cv2.contourArea(polygon):
-            hulls.append(np.asarray(hull + np.array([x, y]), dtype=np.float64))
-    return hulls
-
-
-def grey_pieces(image: NDArray[np.float32], outline: Array) -> list[Array]:
-    """Return solid pieces of one grey inside an outline, each a convex outline in the image, shape (N, 2).
-
-    The grey values inside the outline have a few modes: face, side faces, shadow, table. A face keeps its grey where
-    its border is too faint to close an edge.
-    """
-    low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - _MARGIN_PX, 0)
-    high = np.ceil(outline.max(axis=0)).astype(int) + _MARGIN_PX + 1
-    window = cv2.GaussianBlur(image[low[1] : high[1], low[0] : high[0]], (0, 0), _SMOOTHING_PX)
-    inside = np.zeros(window.shape, dtype=np.uint8)
-    cv2.fillConvexPoly(inside, np.rint(outline - low).astype(np.int32), 1)
-    grown = cv2.dilate(inside, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)) > 0
-    levels = np.log(window + _BLACK)
-    values = levels[grown]
-    if values.size < _MIN_PIECE_PX:
-        return []
-    counts, borders = np.histogram(values, bins=_BINS)
-    smooth = cv2.GaussianBlur(counts.astype(np.float32)[None], (0, 0), 1.0)[0]
-    valleys = [
-        (borders[k] + borders[k + 1]) / 2.0
-        for k in range(1, _BINS - 1)
-        if smooth[k] <= smooth[k - 1] and smooth[k] < smooth[k + 1]
-    ]
-    modes = np.digitize(levels, valleys)
-    pieces = []
-    for mode in range(len(valleys) + 1):
-        mask = ((modes == mode) & grown).astype(np.uint8)
-        mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        for contour in contours:
-            hull = cv2.convexHull(contour)
-            area = cv2.contourArea(hull)
-            if area >= _MIN_PIECE_PX and cv2.contourArea(contour) >= _MIN_SOLIDITY * area:
-                pieces.append(hull.reshape(-1, 2).astype(np.float64) + low)
-    return pieces
+    fits = _fitted([fit.face for fit in _promising(scouted)], bench, REACH)
+    slanted = [fit.face for fit in fits if fit.face.slope_u != 0.0 and not _is_inclined(fit)]
+    return fits + _fitted([replace(face, slope_u=0.0) for face in slanted], bench, REACH)
 
 
 def _laid(border_px: Array, rig: RectifiedRig, z_mm: float) -> Array:

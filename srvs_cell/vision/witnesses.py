@@ -30,6 +30,10 @@ _GOOD_RMS_PX = 0.65
 
 It reads more of the picture, so that its misfit is larger where the place is right.
 """
+_BY_EDGES, _BY_PROFILES = 0.75, 1.25
+"""What the two fits count in the misfit: the one to the grey values reads more of the picture."""
+_INSIDE_TELLS_PX2 = 0.1
+"""Where the inside is displaced by so much less if the face is where one fit has it, that fit is right."""
 _WITNESS_RMS_PX = 0.25
 """Edges that fit so well count half against the grey values."""
 _UNDOUBTED_RMS_PX = 0.4
@@ -61,12 +65,14 @@ class Witnesses:
         by_edges: fitted to the edges.
         by_profiles: fitted to the grey values across the outline.
         inner_px2: by how much the inside is displaced between the pictures, mean square, if the face is as by_profiles.
+        edges_inner_px2: the same if it is as by_edges.
         twin: the inclined rectangle that a level one may be, or the other way round; None where that was not asked.
     """
 
     by_edges: FaceFit
     by_profiles: FaceFit
     inner_px2: float
+    edges_inner_px2: float
     twin: Witnesses | None = None
 
     @property
@@ -77,7 +83,8 @@ class Witnesses:
     @property
     def misfit_px2(self) -> float:
         """How badly the figure suits border and inside, to compare figures at one place."""
-        return self.by_edges.rms_px**2 + self.by_profiles.rms_px**2 + self.inner_px2
+        borders_px2 = _BY_EDGES * self.by_edges.rms_px**2 + _BY_PROFILES * self.by_profiles.rms_px**2
+        return borders_px2 + self.inner_px2
 
     @property
     def price_px2(self) -> float:
@@ -111,13 +118,16 @@ class Witnesses:
         return by_edges.rms_px <= most_px and by_edges.rms_px**2 <= self.misfit_px2
 
     def agreed(self) -> FaceFit:
-        """Return the better of both fits: that to the grey values where it is good.
+        """Return the better of both fits: the one the inside speaks for, else that to the grey values if it is good.
 
-        Where they disagree, neither is surer than that. Edges that do not fit well are a weaker witness against the
-        grey values. A face that may as well be inclined, or level, is no surer than the height of the part.
+        Its ``rms_px`` is the less of both, with what the inside contradicts. Where the fits disagree, neither is surer
+        than that. Edges that do not fit well are a weaker witness against the grey values. A face that may as well be
+        inclined, or level, is no surer than the height of the part.
         """
         edges, profiles = self.by_edges, self.by_profiles
-        grey_values = profiles.rms_px <= max(_GOOD_RMS_PX, edges.rms_px)
+        told_px2 = self.edges_inner_px2 - self.inner_px2
+        inside_tells = abs(told_px2) > _INSIDE_TELLS_PX2
+        grey_values = told_px2 > 0.0 if inside_tells else profiles.rms_px <= max(_GOOD_RMS_PX, edges.rms_px)
         weight = 1.0 / (1.0 + (edges.rms_px / _WITNESS_RMS_PX) ** 2) if grey_values else 1.0
         apart_mm = _centre(edges.face) - _centre(profiles.face)
         surer = min((edges, profiles), key=lambda fit: float(np.trace(fit.covariance_mm2)))
@@ -127,7 +137,9 @@ class Witnesses:
             share = self._share(self.twin)
             higher_mm = self.twin.by_profiles.face.highest_mm - agreed.face.highest_mm
             covariance_mm2[2, 2] += share / (1.0 + share) * higher_mm**2
-        return replace(agreed, rms_px=min(profiles.rms_px, edges.rms_px), covariance_mm2=covariance_mm2)
+        inner_px2 = self.inner_px2 if grey_values else self.edges_inner_px2
+        rms_px = float(np.hypot(min(profiles.rms_px, edges.rms_px), np.sqrt(inner_px2)))
+        return replace(agreed, rms_px=rms_px, covariance_mm2=covariance_mm2)
 
     def agreed_among(self, rivals: Sequence[Witnesses]) -> FaceFit:
         """Return the same, no surer than how far other figures for this place that suit about as well lie from it."""
@@ -190,8 +202,13 @@ class Bench:
 
     def together(self, fits: Sequence[tuple[FaceFit, FaceFit]]) -> list[Witnesses]:
         """Return faces, each fitted to the edges and to the grey values, with what their insides say."""
-        inner = inner_displacements([profiles.face for _, profiles in fits], self.fields, self.rig, self.pictures.noise)
-        return [Witnesses(*both, inner_px2) for both, inner_px2 in zip(fits, inner, strict=True)]
+        faces = [fit.face for both in zip(*fits, strict=True) for fit in both]
+        inner = inner_displacements(faces, self.fields, self.rig, self.pictures.noise)
+        by_edges, by_profiles = inner[: len(fits)], inner[len(fits) :]
+        return [
+            Witnesses(*both, *inside)
+            for both, inside in zip(fits, zip(by_profiles, by_edges, strict=True), strict=True)
+        ]
 
     def by_edges(self, faces: Sequence[Face]) -> list[FaceFit | None]:
         """Fit faces to the edges; None where they have none."""

@@ -18,16 +18,20 @@ DISC = Face(Figure.CIRCLE, 500.0, 60.0, 40.0, 0.0, 50.0, 50.0)
 NOISE = 1.5
 
 
-def pictures(face: Face, contrast: float) -> tuple[EdgeField, EdgeField]:
-    """Paint a texture that lies on the face's plane, with noise and other exposures."""
+def pictures(face: Face, contrast: float, ramp: float = 0.0, tilt: float = 0.0) -> tuple[EdgeField, EdgeField]:
+    """Paint a texture that lies on the face's plane, with noise and other exposures.
+
+    The picture grows brighter by ``ramp`` grey values from left to right, the right one by ``tilt`` besides downwards.
+    """
     cameras, random = rig(), np.random.default_rng(3)
     texture = cv2.GaussianBlur(random.normal(size=(SIZE[1], SIZE[0])), (0, 0), 2.5)
-    left = 120.0 + contrast * texture / texture.std()
+    left = 120.0 + contrast * texture / texture.std() + np.linspace(0.0, ramp, SIZE[0])
     normal = face.normal()
     a, b, c = cameras.plane_disparity(normal, float(normal @ (face.x_mm, face.y_mm, face.z_mm)))
     y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(np.float64)
     source = ((x + b * y + c) / (1.0 - a)).astype(np.float32)
     right = 0.95 * cv2.remap(left, source, y.astype(np.float32), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT) + 4.0
+    right = right + np.linspace(0.0, tilt, SIZE[1])[:, None]
     seen = (np.rint(image + random.normal(scale=NOISE, size=image.shape)) for image in (left, right))
     first, second = (EdgeField.of(np.clip(image, 0.0, 255.0).astype(np.uint8)) for image in seen)
     return first, second
@@ -44,6 +48,11 @@ def parallax_px(face: Face, other: Face) -> float:
 def test_where_a_face_stands_its_inside_falls_on_itself(face: Face) -> None:
     (displaced,) = inner_displacements([face], pictures(face, 10.0), rig(), NOISE)
     assert displaced < 0.01
+
+
+def test_a_lens_that_darkens_one_picture_more_does_not_displace_a_smooth_face() -> None:
+    (displaced,) = inner_displacements([FACE], pictures(FACE, 0.5, ramp=90.0, tilt=20.0), rig(), NOISE)
+    assert displaced < 0.02
 
 
 @pytest.mark.parametrize("face", [FACE, DISC])

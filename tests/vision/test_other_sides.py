@@ -120,12 +120,12 @@ def test_fits_that_disagree_are_no_surer_than_that() -> None:
     face = BOX.face
     moved = replace(face, z_mm=face.z_mm + 3.0)
     sharp = Witnesses(
-        FaceFit(face, 0.01 * np.eye(3), 0.1, 1.0), FaceFit(moved, 0.01 * np.eye(3), 0.2, 1.0), 0.0
+        FaceFit(face, 0.01 * np.eye(3), 0.1, 1.0), FaceFit(moved, 0.01 * np.eye(3), 0.2, 1.0), 0.0, 0.0
     ).agreed()
     assert sharp.face == moved
     assert 2.0 < sharp.covariance_mm2[2, 2] ** 0.5 < 3.1
     weak = Witnesses(
-        FaceFit(face, 0.01 * np.eye(3), 1.0, 0.6), FaceFit(moved, 0.01 * np.eye(3), 0.2, 1.0), 0.0
+        FaceFit(face, 0.01 * np.eye(3), 1.0, 0.6), FaceFit(moved, 0.01 * np.eye(3), 0.2, 1.0), 0.0, 0.0
     ).agreed()
     assert weak.covariance_mm2[2, 2] < 0.2 * sharp.covariance_mm2[2, 2]
 
@@ -133,7 +133,7 @@ def test_fits_that_disagree_are_no_surer_than_that() -> None:
 def test_grey_values_that_fit_badly_leave_it_to_the_edges() -> None:
     face = BOX.face
     lost = replace(face, z_mm=face.z_mm + 9.0)
-    agreed = Witnesses(FaceFit(face, np.eye(3), 0.5, 1.0), FaceFit(lost, np.eye(3), 0.9, 1.0), 0.0).agreed()
+    agreed = Witnesses(FaceFit(face, np.eye(3), 0.5, 1.0), FaceFit(lost, np.eye(3), 0.9, 1.0), 0.0, 0.0).agreed()
     assert agreed.face == face
     assert agreed.covariance_mm2[2, 2] >= 81.0
 

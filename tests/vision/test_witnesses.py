@@ -22,11 +22,30 @@ def fit(z_mm: float, rms_px: float = 0.2, slope_u: float = 0.0) -> FaceFit:
 
 
 def both(z_mm: float, rms_px: float = 0.2, inner_px2: float = 0.0) -> Witnesses:
-    return Witnesses(fit(z_mm, rms_px), fit(z_mm, rms_px), inner_px2)
+    return Witnesses(fit(z_mm, rms_px), fit(z_mm, rms_px), inner_px2, inner_px2)
 
 
 def test_fits_that_agree_leave_their_own_doubt() -> None:
     assert both(30.0).agreed().covariance_mm2 == pytest.approx(VARIANCE_MM2 * np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("inner_px2", "edges_inner_px2", "z_mm"),
+    [(0.0, 0.0, 36.0), (0.5, 0.0, 30.0), (0.0, 0.5, 36.0), (0.05, 0.0, 36.0)],
+)
+def test_the_inside_says_which_of_two_fits_is_right(inner_px2: float, edges_inner_px2: float, z_mm: float) -> None:
+    agreed = Witnesses(fit(30.0, 0.1), fit(36.0, 0.6), inner_px2, edges_inner_px2).agreed()
+    assert agreed.face.z_mm == z_mm
+
+
+def test_grey_values_that_fit_badly_are_right_where_the_inside_says_so() -> None:
+    assert Witnesses(fit(30.0, 0.1), fit(36.0, 0.8), 0.0, 0.0).agreed().face.z_mm == 30.0
+    assert Witnesses(fit(30.0, 0.1), fit(36.0, 0.8), 0.0, 0.5).agreed().face.z_mm == 36.0
+
+
+def test_a_face_whose_inside_contradicts_it_fits_no_better_than_that() -> None:
+    assert both(30.0, 0.3).agreed().rms_px == pytest.approx(0.3)
+    assert both(30.0, 0.3, inner_px2=0.16).agreed().rms_px == pytest.approx(0.5)
 
 
 def test_a_rival_that_suits_as_well_shares_its_distance() -> None:
@@ -50,7 +69,7 @@ def test_a_rival_whose_inside_is_displaced_counts_less() -> None:
 def test_a_level_face_that_may_be_inclined_is_no_surer_than_the_parts_height(
     twins_rms_px: float, doubt_mm: float
 ) -> None:
-    inclined = Witnesses(fit(30.0, twins_rms_px, 0.5), fit(30.0, twins_rms_px, 0.5), 0.0)
+    inclined = Witnesses(fit(30.0, twins_rms_px, 0.5), fit(30.0, twins_rms_px, 0.5), 0.0, 0.0)
     agreed = replace(both(30.0), twin=inclined).agreed()
     # centres coincide, but the highest corner lies half a length times the slope higher
     assert agreed.face.slope_u == 0.0
@@ -62,7 +81,7 @@ def test_a_figure_must_suit_clearly_better_and_no_fit_may_speak_against_it() -> 
     level = both(30.0, 0.4, inner_px2=0.2)
     assert both(31.0, 0.4).suits_better(level, 0.7)
     assert not both(31.0, 0.4, inner_px2=0.15).suits_better(level, 0.7)
-    against = Witnesses(fit(31.0, 0.1), fit(31.0, 0.48), 0.0)
+    against = Witnesses(fit(31.0, 0.1), fit(31.0, 0.48), 0.0, 0.0)
     assert against.misfit_px2 < 0.7 * level.misfit_px2
     assert not against.suits_better(level, 0.7)
 
@@ -80,8 +99,8 @@ def test_a_figure_must_suit_clearly_better_and_no_fit_may_speak_against_it() -> 
 def test_a_slope_must_be_worth_its_parameter(
     edges_rms_px: float, edges_slope: float, profiles_rms_px: float, *, inclined: bool
 ) -> None:
-    level = Witnesses(fit(30.0, edges_rms_px), fit(30.0, 0.45), 0.0)
-    sloped = Witnesses(fit(30.0, edges_rms_px, edges_slope), fit(30.0, profiles_rms_px, 0.2), 0.0)
+    level = Witnesses(fit(30.0, edges_rms_px), fit(30.0, 0.45), 0.0, 0.0)
+    sloped = Witnesses(fit(30.0, edges_rms_px, edges_slope), fit(30.0, profiles_rms_px, 0.2), 0.0, 0.0)
     assert sloped.suits_better(level, 1.0) is inclined
     assert level.suits_better(sloped, 1.0) is not inclined
 
@@ -102,7 +121,7 @@ def test_a_face_next_to_level_is_to_be_fitted_as_level(slope_u: float, possible:
 def test_grey_values_alone_are_believed_where_they_leave_nothing_open(
     edges_rms_px: float, profiles_rms_px: float, *, believed: bool
 ) -> None:
-    both = Witnesses(fit(30.0, edges_rms_px), fit(30.0, profiles_rms_px), 0.0)
+    both = Witnesses(fit(30.0, edges_rms_px), fit(30.0, profiles_rms_px), 0.0, 0.0)
     assert both.is_believed(1.2) is believed
 
 
@@ -111,5 +130,5 @@ def test_grey_values_alone_are_believed_where_they_leave_nothing_open(
 )
 def test_what_the_edges_suit_worse_is_fitted_no_further(edges_rms_px: float, slope: float, *, may: bool) -> None:
     # its misfit is 0.5 px2: an inclined figure may still be its twin
-    level = Witnesses(fit(30.0, 0.4), fit(30.0, 0.58), 0.0)
+    level = Witnesses(fit(30.0, 0.4), fit(30.0, 0.58), 0.0, 0.0)
     assert level.may_yield_to(fit(30.0, edges_rms_px, slope)) is may
