@@ -131,7 +131,8 @@ def recognise(
     tops, others = share_out(matched, tops, rig, table_z_mm)
     unknown = [surface for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
     explained = explained_polygons(tops, rig, table_z_mm)
-    unknown += place_unknown(rising_regions(unseen, explained, left.grey.shape), evidence)
+    if relief is not None:
+        unknown += place_unknown(rising_regions(unseen, explained, left.grey.shape), relief, evidence)
     faces = [measure_face(top, left.grey, rig, reference) for top in tops]
     workpieces = [
         make_workpiece(group, faces, table_z_mm, limits.grasp)

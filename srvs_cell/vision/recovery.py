@@ -17,6 +17,7 @@ import numpy as np
 
 from srvs_cell.scene import PlaneMatch
 from srvs_cell.vision.lateral_stereo import mask_outline_px, place_surface
+from srvs_cell.vision.rising_height import rising_disparity
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from srvs_cell.scene import PlaneImage, Surface
     from srvs_cell.vision.evidence import Evidence
     from srvs_cell.vision.rectification import RectifiedRig
+    from srvs_cell.vision.relief import Relief
 
 NO_PLANE = 0
 """``PlaneMatch.left`` or ``right`` where a face was found without a plane of that image."""
@@ -39,6 +41,8 @@ _USUAL_LEAST = 10.0
 _MIN_VARIANCE = 1e-6
 _MARGIN_PX = 3.0
 _SIGMA_PX = 0.5
+_RISING_SIGMA_PX = 0.6
+"""Of a height that only what rises tells: an inclined face has many."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -116,13 +120,19 @@ def find_places(regions: Iterable[Region], evidence: Evidence) -> tuple[Surface,
     return tuple(surface for surface in found if surface is not None)
 
 
-def place_unknown(regions: Iterable[Region], evidence: Evidence) -> tuple[Surface, ...]:
-    """Give regions of the left image that are parts a place, whatever their grey values tell.
+def place_unknown(regions: Iterable[Region], relief: Relief, evidence: Evidence) -> tuple[Surface, ...]:
+    """Give regions of the left image in which something rises a place, whatever their grey values tell.
 
     Returns:
         Surfaces as above; one that the grey values do not place is half as high as a part may be, as unsure as that.
     """
-    found = [_by_grey_values(region, evidence) or _somewhere(region, evidence) for region in regions]
+    found = []
+    for region in regions:
+        disparity_px = rising_disparity(region, relief, evidence)
+        if disparity_px is None:
+            found.append(_somewhere(region, evidence))
+        else:
+            found.append(_placed(region, disparity_px, 0.0, _RISING_SIGMA_PX, evidence.rig))
     return tuple(surface for surface in found if surface is not None)
 
 
