@@ -20,6 +20,7 @@ from srvs_cell.vision.rising_faces import different, fit_rising
 from srvs_cell.vision.spanned_faces import spanned_faces
 from srvs_cell.vision.top_faces import fit_tops, is_top
 from srvs_cell.vision.tops import rising_test
+from srvs_cell.vision.witnesses import CONVINCING_PX2
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
 
     Source = Callable[[list[Array], list[Top]], list[Witnesses]]
 
-CONVINCING_PX2 = 0.6
-"""A face whose misfit is less needs no search, and what lies in it is print."""
 _LEAST_SUPPORT = 0.55
 """What rises is a witness already: a face that explains it may lack more of its outline than others."""
 

@@ -15,6 +15,7 @@ import numpy as np
 from srvs_cell.vision.recovery import NO_PLANE
 from srvs_cell.vision.relief import rising_share, unexplained
 from srvs_cell.vision.top_faces import SURE_RMS_PX, fit_tops, height_above_mm, tilt_deg
+from srvs_cell.vision.witnesses import CONVINCING_PX2
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -54,10 +55,13 @@ class Top:
     Attributes:
         fit: the face.
         surfaces: ids of the surfaces.
+        price_px2: what edges, grey values and inside leave unexplained (`Witnesses.price_px2`); infinite where only
+            the edges were asked.
     """
 
     fit: FaceFit
     surfaces: tuple[int, ...]
+    price_px2: float = float("inf")
 
     def joined(self, surface: Surface) -> Top:
         """Return the top with one more surface; a region that is no plane has no number to join."""
@@ -82,15 +86,35 @@ def one_per_place(tops: list[Top]) -> list[Top]:
 
     Parts stand on the table beside each other, so that two top faces over one place cannot both be right.
     """
+    return _per_place(sorted(tops, key=lambda one: rank(one.fit)), lambda _, __: False)
+
+
+def best_per_place(tops: list[Top]) -> list[Top]:
+    """Return the tops without those that stand where one that is better, see `is_better`, stands; it takes theirs."""
+    return _per_place(sorted(tops, key=lambda one: one.price_px2), is_better)
+
+
+def _per_place(tops: list[Top], is_better_than: Callable[[Top, Top], bool]) -> list[Top]:
+    """Return the first top of each place, or a later one that is better."""
     kept: list[Top] = []
-    for top in sorted(tops, key=lambda one: rank(one.fit)):
+    for top in tops:
         for number, other in enumerate(kept):
             if share_place(top.fit, other.fit):
-                kept[number] = replace(other, surfaces=(*other.surfaces, *top.surfaces))
+                stands = top if is_better_than(top, other) else other
+                kept[number] = replace(stands, surfaces=(*other.surfaces, *top.surfaces))
                 break
         else:
             kept.append(top)
     return kept
+
+
+def is_better(top: Top, other: Top) -> bool:
+    """Whether one of two tops at one place suits the pictures better: the cheaper one, but a face before its print."""
+    if top.price_px2 < CONVINCING_PX2 and is_print(other.fit, top.fit):
+        return True
+    if other.price_px2 < CONVINCING_PX2 and is_print(top.fit, other.fit):
+        return False
+    return top.price_px2 < other.price_px2
 
 
 def rank(fit: FaceFit) -> tuple[int, float]:

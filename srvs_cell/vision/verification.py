@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from srvs_cell.vision.face_sources import CONVINCING_PX2, Sources
+from srvs_cell.vision.face_sources import Sources
 from srvs_cell.vision.faces import Figure, same_place
 from srvs_cell.vision.joined_faces import joined_faces
 from srvs_cell.vision.profile_fit import measure_blur
@@ -22,13 +22,13 @@ from srvs_cell.vision.top_faces import is_top
 from srvs_cell.vision.tops import (
     CERTAIN_RMS_PX,
     Top,
+    best_per_place,
     explained_polygons,
+    is_better,
     is_print,
-    one_per_place,
-    rank,
     share_place,
 )
-from srvs_cell.vision.witnesses import Bench
+from srvs_cell.vision.witnesses import CONVINCING_PX2, Bench
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,7 +83,9 @@ def verify_tops(
         if both is not None
     ]
     settled = bench.settled([both for _, both in seen])
-    known = [replace(top, fit=both.agreed()) for (top, _), both in zip(seen, settled, strict=True)]
+    known = [
+        replace(top, fit=both.agreed(), price_px2=both.price_px2) for (top, _), both in zip(seen, settled, strict=True)
+    ]
     sources = Sources(planes, relief, evidence, bench)
     outlines = _unexplained(known, relief, evidence)
     tried: list[tuple[Source, Array]] = []
@@ -95,7 +97,7 @@ def verify_tops(
         if added:
             known += added
             outlines = _unexplained(known, relief, evidence)
-    known = sorted(_in_one_light(one_per_place(known), bench), key=lambda top: top.fit.rms_px)
+    known = sorted(_in_one_light(best_per_place(known), bench), key=lambda top: top.fit.rms_px)
     rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
     standing = [
         top
@@ -129,9 +131,9 @@ def _bench_for(tops: list[Top], evidence: Evidence) -> Bench:
 
 
 def _new_tops(found: list[Witnesses], known: list[Top]) -> list[Top]:
-    """Return the best face of each place where no known top fits better."""
+    """Return the best face of each place where no known top suits better."""
     places: list[list[Witnesses]] = []
-    for both in sorted(found, key=lambda both: both.misfit_px2):
+    for both in sorted(found, key=lambda both: both.price_px2):
         place = next((one for one in places if share_place(both.agreed(), one[0].agreed())), None)
         if place is None:
             places.append([both])
@@ -139,12 +141,8 @@ def _new_tops(found: list[Witnesses], known: list[Top]) -> list[Top]:
             place[0] = both
         else:
             place.append(both)
-    fits = [best.agreed_among(rivals) for best, *rivals in places]
-    return [
-        Top(fit, ())
-        for fit in fits
-        if not any(share_place(fit, top.fit) and rank(top.fit) <= rank(fit) for top in known)
-    ]
+    new = [Top(best.agreed_among(rivals), (), best.price_px2) for best, *rivals in places]
+    return [one for one in new if not any(share_place(one.fit, top.fit) and not is_better(one, top) for top in known)]
 
 
 def _in_one_light(known: list[Top], bench: Bench) -> list[Top]:
@@ -167,7 +165,7 @@ def _in_one_light(known: list[Top], bench: Bench) -> list[Top]:
         both, pair = min(whole, key=lambda one: one[0].misfit_px2)
         halves = [known[number] for number in pair]
         known = [top for top in known if top not in halves]
-        known.append(Top(both.agreed(), halves[0].surfaces + halves[1].surfaces))
+        known.append(Top(both.agreed(), halves[0].surfaces + halves[1].surfaces, both.price_px2))
 
 
 def _is_cut_off(fit: FaceFit, evidence: Evidence) -> bool:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from srvs_cell.vision.profiles import Pictures
     from srvs_cell.vision.rectification import RectifiedRig
 
+CONVINCING_PX2 = 0.6
+"""A face whose misfit is less needs no search, and what lies in it is print."""
 _GOOD_RMS_PX = 0.65
 """A fit to the grey values that is as good as this counts, however good that to the edges is.
 
@@ -38,6 +40,10 @@ _WITNESS_RMS_PX = 0.25
 """Edges that fit so well count half against the grey values."""
 _UNDOUBTED_RMS_PX = 0.4
 """A fit to the grey values that is as good as this needs no edges: shadow and side faces beside a face may have its."""
+_STRAY_RMS_PX = 0.5
+"""Where the edges fit worse than this, and worse than the grey values, they may be another border's."""
+_ALL_SEEN = 0.85
+"""Grey values that see less of an outline, a side less, do not speak against a figure that fits well."""
 _LOST_RMS_PX = 2.0
 """Where the edges fit worse they are another border's, and the face is not there."""
 _DOUBTFUL_PX2 = 0.2
@@ -98,10 +104,13 @@ class Witnesses:
     def suits_better(self, other: Witnesses, gain: float) -> bool:
         """Whether the price is less than a share of another figure's, and neither witness speaks against it."""
         slack_px = _SLACK_PX if self.is_inclined == other.is_inclined else _TWIN_SLACK_PX
+        most_px = other.by_profiles.rms_px + slack_px
+        if other.by_profiles.support < _ALL_SEEN:
+            most_px = max(most_px, _GOOD_RMS_PX)
         return (
             self.price_px2 < gain * other.price_px2
             and self.by_edges.rms_px <= other.by_edges.rms_px + _SLACK_PX
-            and self.by_profiles.rms_px <= other.by_profiles.rms_px + slack_px
+            and self.by_profiles.rms_px <= most_px
         )
 
     def is_believed(self, max_rms_px: float) -> bool:
@@ -202,6 +211,7 @@ class Bench:
 
     def together(self, fits: Sequence[tuple[FaceFit, FaceFit]]) -> list[Witnesses]:
         """Return faces, each fitted to the edges and to the grey values, with what their insides say."""
+        fits = self._sought_again(fits)
         faces = [fit.face for both in zip(*fits, strict=True) for fit in both]
         inner = inner_displacements(faces, self.fields, self.rig, self.pictures.noise)
         by_edges, by_profiles = inner[: len(fits)], inner[len(fits) :]
@@ -209,6 +219,21 @@ class Bench:
             Witnesses(*both, *inside)
             for both, inside in zip(fits, zip(by_profiles, by_edges, strict=True), strict=True)
         ]
+
+    def _sought_again(self, fits: Sequence[tuple[FaceFit, FaceFit]]) -> list[tuple[FaceFit, FaceFit]]:
+        """Return the fits; edges that led astray are sought again from where the grey values have the face."""
+        sought = list(fits)
+        stray = [
+            number
+            for number, (edges, profiles) in enumerate(fits)
+            if edges.rms_px > max(_STRAY_RMS_PX, profiles.rms_px)
+        ]
+        again = self.by_edges([fits[number][1].face for number in stray])
+        for number, fit in zip(stray, again, strict=True):
+            edges, profiles = fits[number]
+            if fit is not None and fit.rms_px < edges.rms_px:
+                sought[number] = (fit, profiles)
+        return sought
 
     def by_edges(self, faces: Sequence[Face]) -> list[FaceFit | None]:
         """Fit faces to the edges; None where they have none."""

@@ -116,6 +116,18 @@ def test_a_good_fit_is_not_asked_again() -> None:
     assert bench.settled([good]) == [good]
 
 
+def test_edges_that_led_astray_are_sought_again_from_where_the_grey_values_are() -> None:
+    bench = bench_of([BOX])
+    there = seen_as(BOX.face, bench)
+    astray = replace(there.by_edges, face=replace(BOX.face, x_mm=BOX.face.x_mm + 5.0, length_mm=50.0), rms_px=1.2)
+    (sought,) = bench.together([(astray, there.by_profiles)])
+    assert sought.by_edges.rms_px < 0.2
+    assert sought.by_edges.face.length_mm == pytest.approx(BOX.face.length_mm, abs=0.3)
+    good = replace(astray, rms_px=0.45)
+    (kept,) = bench.together([(good, there.by_profiles)])
+    assert kept.by_edges is good
+
+
 def test_fits_that_disagree_are_no_surer_than_that() -> None:
     face = BOX.face
     moved = replace(face, z_mm=face.z_mm + 3.0)

@@ -86,6 +86,16 @@ def test_a_figure_must_suit_clearly_better_and_no_fit_may_speak_against_it() -> 
     assert not against.suits_better(level, 0.7)
 
 
+def test_grey_values_that_see_three_sides_do_not_speak_against_a_figure_with_four() -> None:
+    whole = Witnesses(fit(31.0, 0.5), fit(31.0, 0.45), 0.0, 0.0)
+    three = Witnesses(fit(30.0, 1.2), replace(fit(30.0, 0.2), support=0.75), 0.0, 0.0)
+    four = Witnesses(fit(30.0, 1.2), fit(30.0, 0.2), 0.0, 0.0)
+    assert whole.suits_better(three, 0.7)
+    assert not whole.suits_better(four, 0.7)
+    poor = Witnesses(fit(31.0, 0.1), fit(31.0, 0.7), 0.0, 0.0)
+    assert not poor.suits_better(three, 0.7)
+
+
 @pytest.mark.parametrize(
     ("edges_rms_px", "edges_slope", "profiles_rms_px", "inclined"),
     [
