@@ -74,7 +74,7 @@ class Sources:
 
     def from_search(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
         """Return what a search for every figure at every height finds, and all that borders in space tell."""
-        rising = fit_rising(outlines, self.evidence, self._lenient)
+        rising = fit_rising(outlines, self.relief, self.evidence, self._lenient)
         there = [
             (edges, fit)
             for fit, edges in zip(rising, self.bench.by_edges([fit.face for fit in rising]), strict=True)

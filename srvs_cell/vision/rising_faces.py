@@ -16,6 +16,8 @@ import numpy as np
 from srvs_cell.vision.face_pieces import face_pieces, plane_hulls
 from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure, inclined_faces, same_place
 from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
+from srvs_cell.vision.recovery import rising_regions
+from srvs_cell.vision.rising_height import rising_disparity
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -25,9 +27,11 @@ if TYPE_CHECKING:
     from srvs_cell.vision.face_fit import FaceFit
     from srvs_cell.vision.profile_fit import Effort
     from srvs_cell.vision.rectification import RectifiedRig
+    from srvs_cell.vision.relief import Relief
     from srvs_cell.vision.witnesses import Bench
 
-_HEIGHTS = 8
+_HEIGHTS = 5
+"""Besides the one that what rises tells."""
 _INCLINED_STRIDE = 2
 """Inclined faces reach over more heights than level ones: every second one is enough for them."""
 _BEST_OF_KIND = 8
@@ -48,22 +52,20 @@ _STEEP_GAIN = 0.85
 """A slope that no noise explains need not improve the fit as much."""
 
 
-def fit_rising(outlines: Iterable[Array], evidence: Evidence, bench: Bench) -> list[FaceFit]:
+def fit_rising(outlines: Iterable[Array], relief: Relief, evidence: Evidence, bench: Bench) -> list[FaceFit]:
     """Return for each outline of what rises the few faces that explain the grey values best.
 
     Args:
         outlines: convex, in the left image, each of shape (N, 2); see `relief.rising_outlines`.
+        relief: what rises over the table.
         evidence: the images; a plane of the left one inside an outline may be the face.
         bench: what faces are fitted to.
     """
     found = []
     rig, table_z_mm, limits = evidence.rig, evidence.table_z_mm, evidence.limits
-    # equal steps of parallax are equal steps of the image: 1 / distance, not height, is divided evenly
-    camera_z_mm = float(rig.base_T_camera.translation_mm[2])
-    near, far = (1.0 / (camera_z_mm - table_z_mm - height) for height in (limits.min_height_mm, limits.max_height_mm))
-    levels = camera_z_mm - 1.0 / np.linspace(near, far, _HEIGHTS)
     planes = plane_hulls(evidence.left, rig, table_z_mm, limits.max_size_mm)
     for outline in outlines:
+        levels = _levels(outline, relief, evidence)
         doubled = [(float(z_mm), without_parallax(outline, rig, float(z_mm), table_z_mm)) for z_mm in levels]
         seeds = [[(z_mm, border) for z_mm, border in doubled if border is not None]]
         seeds += [
@@ -78,6 +80,21 @@ def fit_rising(outlines: Iterable[Array], evidence: Evidence, bench: Bench) -> l
             ranked = [best, *sorted(fits, key=_misfit)]
             found += [ranked[number] for number in different(ranked, _CANDIDATES)]
     return found
+
+
+def _levels(outline: Array, relief: Relief, evidence: Evidence) -> Array:
+    """Return heights to begin at: first the one on which the pictures agree in an outline, if there is one."""
+    rig, table_z_mm, limits = evidence.rig, evidence.table_z_mm, evidence.limits
+    # equal steps of parallax are equal steps of the image: 1 / distance, not height, is divided evenly
+    camera_z_mm = float(rig.base_T_camera.translation_mm[2])
+    near, far = (1.0 / (camera_z_mm - table_z_mm - height) for height in (limits.min_height_mm, limits.max_height_mm))
+    told_mm = []
+    for region in rising_regions([outline], [], relief.rises.shape):
+        disparity_px = rising_disparity(region, relief, evidence)
+        if disparity_px is not None:
+            x, y = np.array(region.centre_px)[:, None]
+            told_mm.append(rig.points_mm(x, y, np.array([disparity_px]))[0, 2])
+    return np.concatenate([told_mm, camera_z_mm - 1.0 / np.linspace(near, far, _HEIGHTS)])
 
 
 def different(fits: Sequence[FaceFit], most: int | None = None) -> list[int]:

@@ -54,7 +54,7 @@ _FOR_BLUR = 3
 """So many well known faces tell the blur of the picture."""
 _SAME_MM = 4.0
 """A face made of two halves comes to rest within this of where they put it."""
-_WHOLE = 0.9
+_WHOLE = 0.87
 """Share of an outline that is seen where all sides are."""
 _BORDER_PX = 10.0
 """A side nearer to the border of a picture may be that border."""

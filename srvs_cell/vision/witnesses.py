@@ -32,8 +32,9 @@ _GOOD_RMS_PX = 0.65
 
 It reads more of the picture, so that its misfit is larger where the place is right.
 """
-_BY_EDGES, _BY_PROFILES = 0.75, 1.25
-"""What the two fits count in the misfit: the one to the grey values reads more of the picture."""
+_BY_EDGES, _BY_PROFILES, _BY_INSIDE = 0.75, 1.25, 3.0
+"""What counts how much in the misfit: the grey values read more of the picture than the edges, and what displaces all
+of the inside is more than what displaces some of the border."""
 _INSIDE_TELLS_PX2 = 0.1
 """Where the inside is displaced by so much less if the face is where one fit has it, that fit is right."""
 _WITNESS_RMS_PX = 0.25
@@ -44,6 +45,8 @@ _STRAY_RMS_PX = 0.5
 """Where the edges fit worse than this, and worse than the grey values, they may be another border's."""
 _ALL_SEEN = 0.85
 """Grey values that see less of an outline, a side less, do not speak against a figure that fits well."""
+_SIDE_UNSEEN = 0.77
+"""Where neither fit sees more of an outline, nobody knows where one side is."""
 _LOST_RMS_PX = 2.0
 """Where the edges fit worse they are another border's, and the face is not there."""
 _DOUBTFUL_PX2 = 0.2
@@ -90,7 +93,7 @@ class Witnesses:
     def misfit_px2(self) -> float:
         """How badly the figure suits border and inside, to compare figures at one place."""
         borders_px2 = _BY_EDGES * self.by_edges.rms_px**2 + _BY_PROFILES * self.by_profiles.rms_px**2
-        return borders_px2 + self.inner_px2
+        return borders_px2 + _BY_INSIDE * self.inner_px2
 
     @property
     def price_px2(self) -> float:
@@ -129,9 +132,9 @@ class Witnesses:
     def agreed(self) -> FaceFit:
         """Return the better of both fits: the one the inside speaks for, else that to the grey values if it is good.
 
-        Its ``rms_px`` is the less of both, with what the inside contradicts. Where the fits disagree, neither is surer
-        than that. Edges that do not fit well are a weaker witness against the grey values. A face that may as well be
-        inclined, or level, is no surer than the height of the part.
+        Its ``rms_px`` is the less of both, with what the inside contradicts, its ``support`` the greater. Where they
+        disagree, or neither sees all sides, neither is surer than that. Edges that do not fit well are a weaker witness
+        against the grey values. A face that may as well be inclined, or level, is no surer than the height of the part.
         """
         edges, profiles = self.by_edges, self.by_profiles
         told_px2 = self.edges_inner_px2 - self.inner_px2
@@ -146,9 +149,13 @@ class Witnesses:
             share = self._share(self.twin)
             higher_mm = self.twin.by_profiles.face.highest_mm - agreed.face.highest_mm
             covariance_mm2[2, 2] += share / (1.0 + share) * higher_mm**2
+        support = max(edges.support, profiles.support)
+        if support < _SIDE_UNSEEN:
+            reach_mm = (1.0 - support) * max(agreed.face.length_mm, agreed.face.width_mm) / 2.0
+            covariance_mm2[(0, 1), (0, 1)] += reach_mm**2
         inner_px2 = self.inner_px2 if grey_values else self.edges_inner_px2
         rms_px = float(np.hypot(min(profiles.rms_px, edges.rms_px), np.sqrt(inner_px2)))
-        return replace(agreed, rms_px=rms_px, covariance_mm2=covariance_mm2)
+        return replace(agreed, rms_px=rms_px, covariance_mm2=covariance_mm2, support=support)
 
     def agreed_among(self, rivals: Sequence[Witnesses]) -> FaceFit:
         """Return the same, no surer than how far other figures for this place that suit about as well lie from it."""

@@ -139,6 +139,7 @@ def test_a_part_that_the_picture_cuts_off_is_not_taken_for_a_whole_one() -> None
     seen_mm = float(np.linalg.norm(ends[2] - ends[0]))
     part = cuboid(x_mm, y_mm, 40.0, 0.0, (60.0, 2.0 * float(np.linalg.norm(ends[2] - ends[1]))), 180)
     face = replace(part.face, y_mm=float(ends[[0, 2], 1].mean()), width_mm=seen_mm)
-    standing, unseen = verified([part], [top(face, 0.3, 0)], cameras)
+    three_sides = FaceFit(face, 0.01 * np.eye(3), 0.3, 0.75)
+    standing, unseen = verified([part], [Top(three_sides, (0,))], cameras)
     assert standing == []
     assert unseen

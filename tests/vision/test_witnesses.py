@@ -48,6 +48,18 @@ def test_a_face_whose_inside_contradicts_it_fits_no_better_than_that() -> None:
     assert both(30.0, 0.3, inner_px2=0.16).agreed().rms_px == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(("edges", "profiles", "unsure"), [(0.6, 0.75, True), (0.6, 0.85, False), (0.9, 0.6, False)])
+def test_a_face_of_which_neither_fit_sees_a_side_is_no_surer_than_that(
+    edges: float, profiles: float, unsure: bool
+) -> None:
+    agreed = Witnesses(replace(fit(30.0), support=edges), replace(fit(30.0), support=profiles), 0.0, 0.0).agreed()
+    assert agreed.support == max(edges, profiles)
+    # a quarter of half the length of 40 mm
+    sigma_mm = 5.0 if unsure else 0.2
+    assert agreed.covariance_mm2[0, 0] ** 0.5 == pytest.approx(sigma_mm, abs=0.1)
+    assert agreed.covariance_mm2[2, 2] == pytest.approx(VARIANCE_MM2)
+
+
 def test_a_rival_that_suits_as_well_shares_its_distance() -> None:
     agreed = both(30.0).agreed_among([both(40.0)])
     assert agreed.face.z_mm == 30.0
