@@ -27,7 +27,7 @@ _LEAST_PX = 1.5
 """A line nearer to a side than this is the side."""
 _ALONG = np.linspace(-0.7, 0.7, 32)
 """Where on a side, -1 to 1, the picture is read: near its ends the neighbouring side's line is met."""
-_LINES_OF_SIDE = 3
+_LINES_OF_SIDE = 2
 _SLOPE = 0.3
 """Rise per millimetre from which all the slopes that parts have are within reach."""
 _LEAST_LEFT = 0.3

@@ -35,7 +35,7 @@ _GAP_SHARE = 0.35
 """Share of a side that may be missing at a corner."""
 _COVERED = 0.4
 """Share of the smaller one that a face and the outline of what rises there have in common."""
-_MOST_FACES = 60
+_MOST_FACES = 15
 """Print has lines enough to span more: those of the longest borders are enough."""
 
 

@@ -233,7 +233,7 @@ class Bench:
         stray = [
             number
             for number, (edges, profiles) in enumerate(fits)
-            if edges.rms_px > max(_STRAY_RMS_PX, profiles.rms_px)
+            if edges.rms_px > _STRAY_RMS_PX and profiles.rms_px <= min(edges.rms_px, _GOOD_RMS_PX)
         ]
         again = self.by_edges([fits[number][1].face for number in stray])
         for number, fit in zip(stray, again, strict=True):
