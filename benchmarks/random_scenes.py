@@ -29,6 +29,10 @@ from drivers.sim.world import Snapshot, World
 from srvs_cell.geometry import Transform, Xyzwpr, axis_rotation
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
     from srvs_cell.geometry import Array
 
 LEVELS = ("L0", "L1", "L2")
@@ -283,20 +287,41 @@ def write_scene(folder: Path, level: str, tag: str, seed: int) -> None:
             read_noise=1.2,
         )
     )
-    folder.mkdir(parents=True, exist_ok=True)
     qpos = world.snapshot().qpos
-    for side, pose in (("left", rig.left), ("right", rig.right)):
-        irradiance = renderer.render(Snapshot(0.0, qpos, pose.matrix))
-        cv2.imwrite(str(folder / f"{side}.png"), sensor.expose(irradiance, random))
-    (folder / "calibration.yaml").write_text(yaml.safe_dump(_calibration(told), sort_keys=False), encoding="utf-8")
+    images = [
+        sensor.expose(renderer.render(Snapshot(0.0, qpos, pose.matrix)), random) for pose in (rig.left, rig.right)
+    ]
+    save_scene(folder, {"level": level, "seed": seed, "tags": [tag]}, world, (rig, told), images)
+
+
+def save_scene(
+    folder: Path, labels: dict[str, Any], world: World, rigs: tuple[Rig, Rig], images: Sequence[NDArray[np.uint8]]
+) -> None:
+    """Write the files of a scene.
+
+    Args:
+        folder: where to; made if need be.
+        labels: what the truth says besides its objects.
+        world: the parts where they stand.
+        rigs: as it is, and as calibration and poses tell it.
+        images: left and right, uint8, shape (H, W).
+    """
+    rig, told = rigs
+    folder.mkdir(parents=True, exist_ok=True)
+    for side, image in zip(("left", "right"), images, strict=True):
+        cv2.imwrite(str(folder / f"{side}.png"), image)
+    (folder / "calibration.yaml").write_text(
+        yaml.safe_dump(calibration_content(told), sort_keys=False), encoding="utf-8"
+    )
     poses = {side: list(pose.to_xyzwpr().as_tuple()) for side, pose in (("left", told.left), ("right", told.right))}
     (folder / "poses.json").write_text(json.dumps({**poses, "table_z_mm": rig.table_z_mm}), encoding="utf-8")
-    objects = [_truth(number, world, rig, qpos) for number in range(len(parts))]
-    truth = {"level": level, "seed": seed, "tags": [tag], "objects": objects}
+    qpos = world.snapshot().qpos
+    truth = {**labels, "objects": [_truth(number, world, rig, qpos) for number in range(len(world.parts))]}
     (folder / "truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
 
 
-def _calibration(rig: Rig) -> dict[str, Any]:
+def calibration_content(rig: Rig) -> dict[str, Any]:
+    """Return the content of the calibration file that tells a rig."""
     lens, mount = rig.lens, rig.mount.to_xyzwpr().as_tuple()
     return {
         "schema_version": 1,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from benchmarks.cell_scenes import write_scene as write_cell_scene
 from benchmarks.perceive_rendered import judge, run_scene
 from benchmarks.random_scenes import TAGS, draw_parts, draw_rig, write_scene
 from srvs_cell.vision import VisionParameters
@@ -67,3 +68,16 @@ def test_the_pictures_show_the_parts_where_the_truth_says(tmp_path: Path) -> Non
     assert spurious == []
     assert [one.seen_kind for one in found] == [one.kind for one in found]
     assert max(one.error_mm or 0.0 for one in found) < 1.0
+
+
+def test_a_look_of_the_simulated_cell_is_told_a_little_wrong(tmp_path: Path) -> None:
+    write_cell_scene(tmp_path, 3, 0)
+    perception, objects, _ = run_scene(tmp_path, VisionParameters())
+    found, spurious = judge("3 parts", perception.workpieces, objects)
+    assert spurious == []
+    assert [one.seen_kind for one in found] == [one.kind for one in found]
+    assert len(found) == 3
+    errors_mm = [one.error_mm or 0.0 for one in found]
+    # calibration and poses are not those of the pictures
+    assert 0.05 < min(errors_mm)
+    assert max(errors_mm) < 4.0
