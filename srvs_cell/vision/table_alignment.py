@@ -36,7 +36,6 @@ _NOISE_FACTOR = 1.6
 _TEXTURED_PX = 0.1
 """A block whose displacement is known better than this has texture."""
 _MOST = 0.5
-"""Share of the blocks: so many must be textured, and so many of these no table, for the table to contradict."""
 _SLACK_PX = (0.5, 0.25, 0.15, 0.15)
 """Displacement that a block may show and its residual may stem from, iteration by iteration."""
 _STILL_PX = 0.01
@@ -166,7 +165,7 @@ class _Linearised:
 
     ``information`` has shape (B, 2, 2) for the image noise alone; ``inflation`` is the variance of the blocks'
     displacements over what that noise explains; ``rejected`` is the share of the blocks with texture that are not
-    usable, 0 where so few have texture that these may be what stands on a plain table.
+    usable.
     """
 
     usable: NDArray[np.bool_]
@@ -282,8 +281,7 @@ class _Grid:
         chi2 = np.einsum("bi,bij,bj->b", displacement, information, displacement)
         inflation = max(1.0, median(chi2[usable]) / _MEDIAN_CHI2) if usable.any() else 1.0
         textured = self.whole & (sigma < _TEXTURED_PX).all(axis=1)
-        most = textured.sum() > _MOST * self.whole.sum()
-        rejected = float(np.mean(~usable[textured])) if most else 0.0
+        rejected = float(np.mean(~usable[textured])) if textured.any() else 0.0
         return _Linearised(usable, rejected, displacement, information, inflation)
 
     def _spread(self, values: Array) -> NDArray[np.float32]:

@@ -72,10 +72,10 @@ def add_tops(surfaces: Sequence[Surface], tops: list[Top], evidence: Evidence) -
     """Add the top faces among surfaces to those known, the surest and largest first."""
     fits = fit_tops(surfaces, evidence)
     found = [(surface, fit) for surface, fit in zip(surfaces, fits, strict=True) if fit is not None]
-    found.sort(key=lambda one: rank(one[1]))
+    found.sort(key=lambda one: _rank(one[1]))
     for surface, fit in found:
         owner = _column(fit.face.corners_mm(), min(surface.centre_mm[2], fit.face.z_mm), tops)
-        if owner is None or rank(tops[owner].fit)[0] > rank(fit)[0]:
+        if owner is None or _rank(tops[owner].fit)[0] > _rank(fit)[0]:
             tops.append(Top(fit, ()).joined(surface))
         else:
             tops[owner] = tops[owner].joined(surface)
@@ -86,7 +86,7 @@ def one_per_place(tops: list[Top]) -> list[Top]:
 
     Parts stand on the table beside each other, so that two top faces over one place cannot both be right.
     """
-    return _per_place(sorted(tops, key=lambda one: rank(one.fit)), lambda _, __: False)
+    return _per_place(sorted(tops, key=lambda one: _rank(one.fit)), lambda _, __: False)
 
 
 def best_per_place(tops: list[Top]) -> list[Top]:
@@ -117,7 +117,7 @@ def is_better(top: Top, other: Top) -> bool:
     return top.price_px2 < other.price_px2
 
 
-def rank(fit: FaceFit) -> tuple[int, float]:
+def _rank(fit: FaceFit) -> tuple[int, float]:
     """Return the sort key that puts the surest first, among equals the largest: a face before the print on it."""
     sureness = (fit.rms_px > CERTAIN_RMS_PX) + (fit.rms_px > SURE_RMS_PX)
     return sureness, -fit.face.length_mm * fit.face.width_mm

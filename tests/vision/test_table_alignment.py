@@ -119,24 +119,6 @@ def test_a_refused_calibration_is_doubted_as_much_as_the_table_contradicts_it() 
     assert np.trace(bare.at(point)[1]) == pytest.approx(np.trace(calm.at(point)[1]), rel=0.5)
 
 
-def test_texture_that_only_parts_have_does_not_contradict_the_calibration() -> None:
-    plain = table_pair(contrast=0.0)
-    rng = np.random.default_rng(3)
-    a, b, c = plain.rig.plane_disparity(UP, TABLE_Z_MM)
-    side, above_px = 34, 12
-    for y in range(30, SIZE[1] - side, 96):
-        for x in range(110, SIZE[0] - side, 96):
-            top = PLAIN_GREY + 30.0 * cv2.GaussianBlur(rng.normal(size=(side, side)), (0, 0), 1.5)
-            right_x = round(x - (a * x + b * y + c)) - above_px
-            plain.left[y : y + side, x : x + side] = plain.right[y : y + side, right_x : right_x + side] = top
-    reference, check = align_table(plain, TABLE_Z_MM, TableParameters())
-    assert check.blocks < 30
-    assert check.refusal == f"{check.blocks} blocks of table in view, 30 needed"
-    bare, _ = align_table(table_pair(contrast=0.0), TABLE_Z_MM, TableParameters())
-    point = (500.0, 50.0, TABLE_Z_MM + 40.0)
-    np.testing.assert_allclose(reference.at(point)[1], bare.at(point)[1], rtol=0.5)
-
-
 def test_a_box_on_the_table_does_not_disturb_the_measurement() -> None:
     box = cuboid(500.0, 50.0, 60.0, 20.0, (90.0, 60.0), 200)
     _, alone = align_table(table_pair(0.2, 0.1), TABLE_Z_MM, TableParameters())
