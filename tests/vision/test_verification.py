@@ -18,7 +18,7 @@ from srvs_cell.vision.refinement import GreyPair
 from srvs_cell.vision.relief import measure_relief
 from srvs_cell.vision.tops import Top
 from srvs_cell.vision.verification import verify_tops
-from tests.vision.painted import SIZE, TABLE_Z_MM, cuboid, paint, planes, rig
+from tests.vision.painted import SIZE, TABLE_Z_MM, cuboid, cylinder, paint, planes, rig
 
 if TYPE_CHECKING:
     from srvs_cell.geometry import Array
@@ -112,6 +112,17 @@ def lit(part: Part, shade: Part) -> Face:
     shaded_mm = shade.face.length_mm
     x_mm, y_mm, _ = part.face.place(np.array([[shaded_mm / 60.0, 0.0]]))[0]
     return replace(part.face, x_mm=float(x_mm), y_mm=float(y_mm), length_mm=60.0 - shaded_mm)
+
+
+def test_the_search_begins_at_the_height_that_what_rises_tells(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the other heights only the lowest is left, 80 mm below."""
+    monkeypatch.setattr("srvs_cell.vision.rising_faces._HEIGHTS", 1)
+    part = cylinder(500.0, 60.0, 90.0, 40.0, 150)
+    standing, unseen = verified([part], [])
+    (face,) = [one.fit.face for one in standing]
+    assert face.z_mm == pytest.approx(part.face.z_mm, abs=1.0)
+    assert face.length_mm == pytest.approx(40.0, abs=0.5)
+    assert unseen == []
 
 
 def test_a_shadow_on_a_top_makes_no_second_part_of_it() -> None:

@@ -43,6 +43,13 @@ def test_grey_values_that_fit_badly_are_right_where_the_inside_says_so() -> None
     assert Witnesses(fit(30.0, 0.1), fit(36.0, 0.8), 0.0, 0.5).agreed().face.z_mm == 36.0
 
 
+def test_grey_values_count_more_than_edges_and_the_inside_more_than_both() -> None:
+    good_edges = Witnesses(fit(30.0, 0.3), fit(30.0, 0.6), 0.0, 0.0)
+    good_grey_values = Witnesses(fit(30.0, 0.6), fit(30.0, 0.3), 0.0, 0.0)
+    displaced = Witnesses(fit(30.0, 0.3), fit(30.0, 0.3), 0.27, 0.27)
+    assert good_grey_values.misfit_px2 < good_edges.misfit_px2 < displaced.misfit_px2
+
+
 def test_a_face_whose_inside_contradicts_it_fits_no_better_than_that() -> None:
     assert both(30.0, 0.3).agreed().rms_px == pytest.approx(0.3)
     assert both(30.0, 0.3, inner_px2=0.16).agreed().rms_px == pytest.approx(0.5)
