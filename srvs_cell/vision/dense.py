@@ -28,13 +28,12 @@ if TYPE_CHECKING:
 
 _ERODED = np.ones((7, 7), np.uint8)
 """So far from a surface's border its pixels are surely its own, and hidden in neither image."""
-
-
 _VOTERS = (5, 5)
 _VOTE_WEIGHT = 3.0
 """What the share of the pixels around counts, in greatest costs."""
 _VOTES = 3
-_SMALL_WINDOW = (3, 3)
+_SMALL_WINDOW = (5, 5)
+"""A pixel's own cost is that of those around it: one alone tells no surface from another."""
 _NEVER = 100.0
 
 

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 _LEAST_SUPPORT = 0.55
 """What rises is a witness already: a face that explains it may lack more of its outline than others."""
+_DOUBTED = 4
+"""So many faces that the edges do not confirm are asked what else they may be: one may lie beside a true one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +83,12 @@ class Sources:
             if edges is not None
         ]
         max_rms_px = self.evidence.limits.max_rms_px
-        believed = [both for both in self.bench.together(there) if both.is_believed(max_rms_px)]
-        return self._from_ledges(outlines) + self.bench.settled(believed)
+        found = sorted(self.bench.together(there), key=lambda both: both.price_px2)
+        believed = [both for both in found if both.is_believed(max_rms_px)]
+        doubted = [both for both in found if not both.is_believed(max_rms_px)]
+        asked = [doubted[number] for number in different([both.by_profiles for both in doubted], _DOUBTED)]
+        settled = self.bench.settled(believed + asked)
+        return self._from_ledges(outlines) + [both for both in settled if both.is_believed(max_rms_px)]
 
     def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:
         """Return the faces that borders tell over these outlines or earlier ones, those that suit the pictures."""

@@ -74,14 +74,15 @@ def inner_displacements(
     light = [ones, u, v, left - left.mean(axis=1, keepdims=True)]
     columns = np.stack([*light, slope, slope * u, slope * v], axis=-1)
     difference = right - left
-    weights, least = ones, _SMOOTHED_NOISE * noise
+    seen = _inside(fields[0], x, y) & _inside(fields[1], x - disparity, y)
+    weights, least = seen.astype(np.float64), _SMOOTHED_NOISE * noise
     for _ in range(_PASSES):
         weighted = np.swapaxes(columns * weights[..., None], 1, 2)
         normal = weighted @ columns + _RIDGE * np.eye(columns.shape[-1])
         estimate = np.linalg.solve(normal, weighted @ difference[..., None])
         residual = difference - (columns @ estimate)[..., 0]
         sigma = np.maximum(_MAD * np.median(np.abs(residual), axis=1), least)
-        weights = 1.0 / (1.0 + (residual / (_ROBUST_SIGMA * sigma[:, None])) ** 2) ** 2
+        weights = seen / (1.0 + (residual / (_ROBUST_SIGMA * sigma[:, None])) ** 2) ** 2
     counted = np.maximum(1.0, _INDEPENDENT_PX2 / _area_px2(x, y))
     variance = np.einsum("bii->bi", np.linalg.inv(normal))[:, len(light) :] * (sigma**2 * counted)[:, None]
     beyond = estimate[:, len(light) :, 0] ** 2 - variance - _SYSTEMATIC_PX**2
@@ -96,6 +97,12 @@ def _read(field: EdgeField, x: Array, y: Array) -> tuple[Array, Array]:
         for image in (field.smooth, field.gradient)
     )
     return smooth.astype(np.float64), gradient[..., 0].astype(np.float64)
+
+
+def _inside(field: EdgeField, x: Array, y: Array) -> NDArray[np.bool_]:
+    """Return which pixels lie in a picture."""
+    height, width = field.smooth.shape
+    return np.asarray((x >= 0.0) & (x <= width - 1.0) & (y >= 0.0) & (y <= height - 1.0))
 
 
 def _area_px2(x: Array, y: Array) -> NDArray[np.float64]:

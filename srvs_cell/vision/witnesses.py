@@ -63,7 +63,8 @@ _TWIN_SLACK_PX = 0.12
 """The same for the grey values of a level and of an inclined figure: a slope takes more of them with it."""
 _RIVALRY = 4
 """With this power of the ratio of their misfits a figure that suits worse counts."""
-_ROUNDS = 2
+_ROUNDS = 4
+"""What suits better is asked again what else it may be, so often at most."""
 
 
 @dataclass(frozen=True, eq=False)

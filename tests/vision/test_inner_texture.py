@@ -77,3 +77,12 @@ def test_without_texture_nothing_is_said() -> None:
     )
     assert bare < 0.3 * textured
     assert inner_displacements([], pictures(FACE, 1.0), rig(), NOISE) == []
+
+
+def test_what_a_picture_does_not_show_has_no_say() -> None:
+    # the right end of the face lies beyond the left picture's border: what is read there is the border, repeated
+    _, y, disparity = rig().project_px(FACE.place(np.zeros((1, 2))))
+    inwards = rig().points_mm(np.array([SIZE[0] - 6.0]), y, disparity)[0]
+    cut = replace(FACE, x_mm=float(inwards[0]), y_mm=float(inwards[1]))
+    (displaced,) = inner_displacements([cut], pictures(cut, 10.0), rig(), NOISE)
+    assert displaced < 0.02

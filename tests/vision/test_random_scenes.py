@@ -81,3 +81,14 @@ def test_a_look_of_the_simulated_cell_is_told_a_little_wrong(tmp_path: Path) -> 
     # calibration and poses are not those of the pictures
     assert min(errors_mm) > 0.05
     assert max(errors_mm) < 4.0
+
+
+def test_a_start_beside_a_face_leads_to_it(tmp_path: Path) -> None:
+    # a dark wedge and its dark side face are one region, and nothing that the search begins with is confirmed by edges
+    write_scene(tmp_path, "L1", "untextured", 5015)
+    perception, objects, _ = run_scene(tmp_path, VisionParameters())
+    found, _ = judge("5015", perception.workpieces, objects)
+    wedge = min(found, key=lambda one: abs((one.heights_mm or (0.0, 0.0))[0] - 26.8))
+    assert wedge.seen_kind == wedge.kind == "wedge"
+    assert wedge.error_mm is not None
+    assert wedge.error_mm < 3.0
