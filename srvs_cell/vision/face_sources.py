@@ -87,7 +87,7 @@ class Sources:
         believed = [both for both in found if both.is_believed(max_rms_px)]
         doubted = [both for both in found if not both.is_believed(max_rms_px)]
         asked = [doubted[number] for number in different([both.by_profiles for both in doubted], _DOUBTED)]
-        settled = self.bench.settled(believed + asked)
+        settled = self._lenient.settled(believed + asked)
         return self._from_ledges(outlines) + [both for both in settled if both.is_believed(max_rms_px)]
 
     def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:

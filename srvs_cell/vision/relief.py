@@ -62,7 +62,10 @@ _SEAM_PX = 11
 _MOSTLY = 0.5
 """What is explained to a larger share is a part's surroundings, not another one between two borders."""
 _MIN_ROWS = 0.6
-"""Share of their rows that the left and the right border of one face have in common."""
+"""Share of the rows of the shorter one that the left and the right border of one face have in common.
+
+The border of a wedge rises where the wedge is high.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +249,7 @@ class _Piece:
     def beside(self, other: _Piece) -> bool:
         """Whether the two may be the left and the right border of one face."""
         shared = min(self.box[3], other.box[3]) - max(self.box[1], other.box[1])
-        rows = max(self.box[3] - self.box[1], other.box[3] - other.box[1])
+        rows = min(self.box[3] - self.box[1], other.box[3] - other.box[1])
         apart = max(self.box[0], other.box[0]) - min(self.box[2], other.box[2])
         return shared >= _MIN_ROWS * rows and apart > 0
 

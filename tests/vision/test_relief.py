@@ -111,6 +111,17 @@ def test_a_face_whose_border_shows_in_two_pieces_is_enclosed_by_both_together() 
     ]
 
 
+def test_the_short_border_of_a_wedge_is_taken_together_with_the_long_one() -> None:
+    shape = (200, 200)
+    rises = np.zeros(shape, dtype=np.bool_)
+    rises[60:120, 50:56] = True
+    rises[95:120, 130:136] = True
+    outlines = rising_outlines(Relief(rises, 0.5, np.ones(shape, dtype=np.bool_)), [])
+    assert ((50.0, 60.0), (135.0, 119.0)) in [
+        (tuple(outline.min(axis=0)), tuple(outline.max(axis=0))) for outline in outlines
+    ]
+
+
 def test_what_a_known_part_explains_is_taken_away(both: Relief) -> None:
     top = Top(FaceFit(BOX.face, np.eye(3), 0.1, 1.0), ())
     polygons = explained_polygons([top], rig(), TABLE_Z_MM)
