@@ -35,6 +35,10 @@ _HEIGHTS = 5
 _INCLINED_STRIDE = 2
 """Inclined faces reach over more heights than level ones: every second one is enough for them."""
 _BEST_OF_KIND = 8
+_NEXT_OF_KIND = 16
+"""So many more are fitted where the best leave much unexplained."""
+_UNEXPLAINED_PX2 = 0.4
+"""Misfit of a face that leaves much: a third of its outline is not seen, or lies half a pixel off."""
 _ABSENT_PX = 1.0
 """So far off is a border that is not there."""
 _START_SLOPE = 0.36
@@ -148,8 +152,10 @@ def _fits_of(seeds: list[list[tuple[float, Array]]], bench: Bench) -> list[FaceF
         for face in inclined_faces(_rectangle(border, z_mm), _START_SLOPE)
     ]
     starts += [face for seed in seeds for z_mm, border in seed for face in _figures(border, z_mm)]
-    scouted = sorted(_fitted(starts, bench, SCOUT), key=_misfit)
-    fits = _fitted([fit.face for fit in _promising(scouted)], bench, REACH)
+    promising = _promising(sorted(_fitted(starts, bench, SCOUT), key=_misfit))
+    fits = _fitted([face for alike in promising for face in alike[:_BEST_OF_KIND]], bench, REACH)
+    if min((_misfit(fit) for fit in fits if bench.possible(fit)), default=np.inf) > _UNEXPLAINED_PX2:
+        fits += _fitted([face for alike in promising for face in alike[_BEST_OF_KIND:]], bench, REACH)
     slanted = [fit.face for fit in fits if fit.face.slope_u != 0.0 and not _is_inclined(fit)]
     return fits + _fitted([replace(face, slope_u=0.0) for face in slanted], bench, REACH)
 
@@ -162,14 +168,14 @@ def _laid(border_px: Array, rig: RectifiedRig, z_mm: float) -> Array:
     return border
 
 
-def _promising(scouted: list[FaceFit]) -> list[FaceFit]:
-    """Return the best of the scouted fits of each figure, level and inclined, at different places."""
-    kept: dict[tuple[Figure, bool], list[FaceFit]] = {}
-    for fit in scouted:
-        alike = kept.setdefault((fit.face.figure, fit.face.slope_u != 0.0), [])
-        if len(alike) < _BEST_OF_KIND and not any(same_place(fit.face, one.face, _SAME_MM) for one in alike):
-            alike.append(fit)
-    return [fit for alike in kept.values() for fit in alike]
+def _promising(scouted: list[FaceFit]) -> list[list[Face]]:
+    """Return for each figure, level and inclined, the best scouted faces at different places, the best first."""
+    kept: dict[tuple[Figure, bool], list[Face]] = {}
+    for face in (fit.face for fit in scouted):
+        alike = kept.setdefault((face.figure, face.slope_u != 0.0), [])
+        if len(alike) < _BEST_OF_KIND + _NEXT_OF_KIND and not any(same_place(face, one, _SAME_MM) for one in alike):
+            alike.append(face)
+    return list(kept.values())
 
 
 def _fitted(starts: Sequence[Face], bench: Bench, effort: Effort) -> list[FaceFit]:

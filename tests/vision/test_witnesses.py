@@ -145,9 +145,10 @@ def test_a_face_next_to_level_is_to_be_fitted_as_level(slope_u: float, possible:
 
 
 @pytest.mark.parametrize(
-    ("edges_rms_px", "profiles_rms_px", "believed"), [(1.1, 0.9, True), (1.3, 0.5, False), (1.9, 0.3, True)]
+    ("edges_rms_px", "profiles_rms_px", "believed"),
+    [(1.1, 0.9, True), (1.3, 0.5, False), (1.25, 0.45, True), (1.9, 0.3, True)],
 )
-def test_grey_values_alone_are_believed_where_they_leave_nothing_open(
+def test_what_the_edges_do_not_confirm_is_believed_where_little_is_left_open(
     edges_rms_px: float, profiles_rms_px: float, *, believed: bool
 ) -> None:
     both = Witnesses(fit(30.0, edges_rms_px), fit(30.0, profiles_rms_px), 0.0, 0.0)
