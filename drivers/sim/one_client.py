@@ -103,9 +103,8 @@ class OneClient:
         for end in (*listeners, *ends):
             with contextlib.suppress(OSError):  # not connected, or closed by its thread: this only wakes it
                 end.shutdown(socket.SHUT_RDWR)
-        for thread in self._threads:
-            thread.join()
-        self._threads.clear()
+        while self._threads:
+            self._threads.pop().join()
 
     def _spawn(self, end: socket.socket, body: Callable[[], None]) -> threading.Thread:
         """Run what reads from a socket until the socket ends."""
@@ -124,10 +123,11 @@ class OneClient:
         thread = threading.Thread(target=run, name=self._name, daemon=True)
         with self.lock:
             self._in_hand[end] = False
-            self._threads.append(thread)
             if not self._listeners:  # closed meanwhile
                 end.shutdown(socket.SHUT_RDWR)
-        thread.start()
+            thread.start()
+            # one whose client has gone is none to wait for
+            self._threads[:] = [*(one for one in self._threads if one.is_alive()), thread]
         return thread
 
     def _accept(self, listener: socket.socket, welcome: Callable[[socket.socket], object]) -> None:

@@ -1,5 +1,6 @@
 """Who is served by a controller double, and when all that was sent is dealt with, however slow its threads are."""
 
+import gc
 import socket
 import threading
 from collections.abc import Iterator
@@ -82,3 +83,14 @@ def test_nobody_is_left_to_wait_when_it_closes(echo: Echo) -> None:
         echo.client.close()
         assert connection.recv(64) == b""
     assert not echo.client.unread
+
+
+def test_clients_that_have_gone_leave_nothing_behind(echo: Echo) -> None:
+    echo.may_go_on.set()
+    for _ in range(8):
+        with echo.call() as connection:
+            connection.sendall(b"one")
+            assert connection.recv(64) == b"one"
+    gc.collect()
+    threads = [one for one in gc.get_objects() if isinstance(one, threading.Thread) and one.name == "echo"]
+    assert len(threads) <= 3, "the listener's, the last client's, and one that is about to end"
