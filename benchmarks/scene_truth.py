@@ -101,7 +101,8 @@ def position_bound_mm(one: dict[str, Any], left: NDArray[np.uint8], view: Stereo
     The face and a band around its border are displaced by (u, v) in both images and by the disparity between them: a
     constant one for an upright object, whose face is known to be level, else a x + b y + c. Noise is white, of one
     standard deviation, in both images. What it adds to the squared slopes of the left image, which stand for the true
-    ones, is taken off; what is left is too little where the face hardly shows, and the bound then infinite.
+    ones, is taken off; what is left is too little where the face hardly shows, and the bound then infinite, as it is
+    where the picture shows nothing of the face.
 
     Args:
         one: the object, an entry of ``truth.json``.
@@ -116,6 +117,8 @@ def position_bound_mm(one: dict[str, Any], left: NDArray[np.uint8], view: Stereo
     square = np.ones((2 * BAND_PX + 1, 2 * BAND_PX + 1), np.uint8)
     grey = left.astype(np.float64)
     inside = cv2.erode(face, square) > 0
+    if not inside.any():
+        return float("inf")
     noise2 = (_MAD_TO_SIGMA * np.median(np.abs(cv2.filter2D(grey, -1, _NOISE_ALONE)[inside]))) ** 2
     noise2 = max(float(noise2), _ROUNDING_VARIANCE)
     rows, columns = np.nonzero(cv2.dilate(face, square))

@@ -208,6 +208,7 @@ def _sought(
     row, column = (int(index) for index in np.unravel_index(int(scores.argmax()), scores.shape))
     by_row = scores.max(axis=1)
     alike, off = float(by_row[row]), np.abs(np.arange(by_row.size) - row) > 1
-    sharp = bool(alike - by_row[off].max() > _SHARP)
+    # what is likest in the last row may be liker beyond it
+    sharp = bool(alike - by_row[off].max() > _SHARP) and 0 < row < by_row.size - 1
     disparity = x - (low + column + _HALF_BLOCK)
     return _Sought(alike, float(row - _ROWS), sharp, float(x), disparity - least, greatest - least)

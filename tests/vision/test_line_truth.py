@@ -87,6 +87,8 @@ def test_the_bound_of_a_place_is_that_of_its_blurred_edges(contrast: float, nois
     expected = sigma_px * np.sqrt(by_disparity**2 + 2.0 * by_place**2)
     # central differences see a blurred edge as a tenth flatter
     assert expected < position_bound_mm(top, left, view) < 1.25 * expected
+    beyond = top | {"position_mm": [10.0 * side_mm, 0.0, 50.0]}
+    assert position_bound_mm(beyond, left, view) == np.inf
 
 
 def test_the_distorted_truth_belongs_to_the_distorted_pictures() -> None:

@@ -92,3 +92,10 @@ def test_a_start_beside_a_face_leads_to_it(tmp_path: Path) -> None:
     assert wedge.seen_kind == wedge.kind == "wedge"
     assert wedge.error_mm is not None
     assert wedge.error_mm < 3.0
+
+
+def test_parts_without_a_table_s_texture_tell_no_turn_of_the_camera(tmp_path: Path) -> None:
+    # of few blocks with a sure row one is likest in the last row that is looked at
+    write_scene(tmp_path, "L2", "untextured", 22015)
+    perception, _, _ = run_scene(tmp_path, VisionParameters())
+    assert perception.workpieces
