@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _LEAST_SUPPORT = 0.55
 """What rises is a witness already: a face that explains it may lack more of its outline than others."""
-_DOUBTED = 4
+_DOUBTED = 2
 """So many faces that the edges do not confirm are asked what else they may be: one may lie beside a true one."""
 
 

@@ -41,7 +41,7 @@ _WITNESS_RMS_PX = 0.25
 """Edges that fit so well count half against the grey values."""
 _UNDOUBTED_RMS_PX = 0.4
 """A fit to the grey values that is as good as this needs no edges: shadow and side faces beside a face may have its."""
-_DOUBTED_PX2 = 1.5
+_BELIEVED_PX2 = 1.5
 """A face whose misfit is less is believed even where its edges and its grey values each are a little too far off."""
 _STRAY_RMS_PX = 0.5
 """Where the edges fit worse than this, and worse than the grey values, they may be another border's."""
@@ -125,7 +125,7 @@ class Witnesses:
         Part of a face may explain the grey values along itself, but it has no edges of its own.
         """
         undoubted = self.by_edges.rms_px <= max_rms_px or self.by_profiles.rms_px <= _UNDOUBTED_RMS_PX
-        return undoubted or self.misfit_px2 <= _DOUBTED_PX2
+        return undoubted or self.misfit_px2 <= _BELIEVED_PX2
 
     def may_yield_to(self, by_edges: FaceFit) -> bool:
         """Whether a figure fitted to the edges may suit better or be the twin, whatever the grey values say."""
