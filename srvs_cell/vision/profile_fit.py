@@ -47,7 +47,7 @@ SCOUT = Effort((2.0, 2.0, 2.0), 36)
 """Shows whether a start leads anywhere: a border twice as wide as the picture's reaches farther."""
 REACH = Effort((2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From a start a few pixels off."""
-SETTLE = Effort((1.0,) * 12)
+SETTLE = Effort((1.0,) * 16)
 """From where the edges led; few faces need more than half of it to come to rest."""
 _FOR_BLUR = 48
 """Samples that tell the blur."""
@@ -237,7 +237,11 @@ def _solved(profiles: Profiles, explained: _Explained, noise: float, room: tuple
     normal = ((moved * steepness[:, :, None]) @ moved.swapaxes(-1, -2)).sum(axis=0) - taken @ taken.swapaxes(-1, -2)
     vector = (moved @ pull[..., None])[..., 0].sum(axis=0)
     steps, covariances = newton_steps(normal, vector, _DAMPING, room)
-    return np.minimum(np.maximum(steps, -_STEP_LIMITS), _STEP_LIMITS), covariances
+    steps = np.minimum(np.maximum(steps, -_STEP_LIMITS), _STEP_LIMITS)
+    # a step that was cut short may have lost what kept it in the room
+    room_mm, by_parameter = room
+    steps[:, 2] += np.maximum(-room_mm - (by_parameter * steps).sum(axis=1), 0.0)
+    return steps, covariances
 
 
 def _judged(weights: NDArray[np.float32], explained: _Explained, noise: float) -> tuple[Array, Array, Array]:
