@@ -76,7 +76,8 @@ def test_parts_that_are_added_pushed_and_taken_away_while_others_are_carried(cel
     status = start_until_placing(cell)
     push(cell, idle_part(cell, status), PUSH_MM)
     push(cell, added, -OUT_OF_VIEW_MM)
-    status = follow(cell, lambda status: status["step"] == "plan" and status["moves_done"] == 1)
+    status = follow(cell, lambda status: any(alarm["name"] == "SCENE_CHANGED" for alarm in status["alarms"]))
+    assert status["moves_done"] == 1
     assert "mm from" in warned(status)
     assert "that was not there" in warned(status)
     status = follow(cell, lambda status: status["step"] == "place")
