@@ -9,10 +9,11 @@ from benchmarks.perceive_rendered import Found, SceneResult, evaluate, summary
 
 ROOT = Path(os.environ.get("SRVS_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")) / "rendered_scenes"
 SCENES = ("L0/001", "L1/004", "L1/006")
+needs_scenes = pytest.mark.skipif(not ROOT.is_dir(), reason=f"no rendered scenes: set SRVS_DATA or provide {ROOT.name}")
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not ROOT.is_dir(), reason=f"no rendered scenes: set SRVS_DATA or provide {ROOT.name}")
+@needs_scenes
 def test_rendered_scenes_within_honest_bounds() -> None:
     results = evaluate(ROOT, SCENES)
     figures = summary(results)
@@ -27,7 +28,7 @@ def test_rendered_scenes_within_honest_bounds() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not ROOT.is_dir(), reason=f"no rendered scenes: set SRVS_DATA or provide {ROOT.name}")
+@needs_scenes
 def test_a_wedge_among_parts_of_its_height_keeps_its_place_in_the_order() -> None:
     # as a cuboid it would be 5 mm lower; it is told from one in the third round of asking what else it may be
     results = evaluate(ROOT, ["L2/001"], shaken=range(8))
