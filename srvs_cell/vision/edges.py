@@ -2,8 +2,9 @@
 
 Pixels with a strong gradient are labelled by the gradient's direction in two overlapping partitions of 45 degrees, the
 second turned by 22.5 degrees, so that a line whose direction falls on the border of one lies within the other.
-Connected pixels of one label are a line-support region. Each pixel votes for the longer of its two regions; a region's
-support is the share of its pixels that vote for it, and regions with enough support and length are kept.
+Connected pixels of one label are a line-support region. Each pixel votes for the longer of its two regions, of two as
+long for the larger; a region's support is the share of its pixels that vote for it, and regions with enough support and
+length are kept.
 
 Few pixels have a strong gradient: after the threshold only these are looked at, as runs of one label along the rows.
 """
@@ -142,9 +143,9 @@ def supported(
         parameters: support and length limits.
     """
     regions = support_regions(strong, direction_deg, width)
-    first, second = (each.length_px[each.of_pixel] for each in regions)
+    for_first = votes_for_first(*regions)
     kept = np.zeros(strong.size, dtype=np.bool_)
-    for each, votes in zip(regions, (first >= second, first < second), strict=True):
+    for each, votes in zip(regions, (for_first, ~for_first), strict=True):
         support = (np.bincount(each.of_pixel, weights=votes) + _CHANCE_PX) / each.pixels
         evidence = each.length_px * np.bincount(each.of_pixel, weights=strength) / each.pixels
         kept |= ((support >= parameters.min_support) & (evidence >= parameters.min_length_px))[each.of_pixel]
@@ -157,6 +158,19 @@ def support_regions(
     """Return the line-support regions of both partitions; arguments as of `supported`."""
     first, second = (SupportRegions.of(strong, _partition(direction_deg, turn_deg), width) for turn_deg in _TURNS_DEG)
     return first, second
+
+
+def votes_for_first(first: SupportRegions, second: SupportRegions) -> NDArray[np.bool_]:
+    """Return whether each strong pixel votes for its region of the first partition, shape (N,).
+
+    It votes for the longer of its two regions, of two as long for the larger, of two as large for the first. Along a
+    line whose direction falls on the border of one partition its regions there lie side by side, each as long as the
+    whole: by length alone they would take half of the votes, and neither they nor the whole had support enough.
+    """
+    one, other = first.of_pixel, second.of_pixel
+    longer = first.length_px[one] - second.length_px[other]
+    larger = first.pixels[one] >= second.pixels[other]
+    return np.where(longer == 0.0, larger, longer > 0.0)
 
 
 def _partition(direction_deg: NDArray[np.float32], turn_deg: float) -> NDArray[np.int8]:

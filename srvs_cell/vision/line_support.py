@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from srvs_cell.vision.edges import smooth, support_regions
+from srvs_cell.vision.edges import smooth, support_regions, votes_for_first
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -121,9 +121,6 @@ def voted_regions(
 ) -> NDArray[np.intp]:
     """Return the number of the line-support region that each edge pixel votes for; -1 where that has no support.
 
-    Of two regions of one length a pixel votes for the larger. Along a line whose direction falls on the border of one
-    partition its regions there lie side by side, each as long as the whole, and would take half of the votes.
-
     Args:
         strong: numbers of the edge pixels in the flat image, ascending, none in its last column, shape (N,).
         direction_deg: gradient direction of each.
@@ -133,10 +130,8 @@ def voted_regions(
     if strong.size == 0:
         return np.zeros(0, dtype=np.intp)
     first, second = support_regions(strong, direction_deg, width)
-    one, other = first.of_pixel, second.of_pixel
-    longer = first.length_px[one] - second.length_px[other]
-    votes_first = (longer > 0.0) | ((longer == 0.0) & (first.pixels[one] >= second.pixels[other]))
-    region = np.where(votes_first, one, other + first.pixels.size)
+    for_first = votes_for_first(first, second)
+    region = np.where(for_first, first.of_pixel, second.of_pixel + first.pixels.size)
     pixels = np.concatenate([first.pixels, second.pixels])
     votes = np.bincount(region, minlength=pixels.size)
     return np.where((votes >= min_support * pixels)[region], region, -1)

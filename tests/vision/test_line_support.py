@@ -35,17 +35,9 @@ def difference_deg(first: float, second: float) -> float:
 @settings(max_examples=40)
 @given(angle_deg=st.floats(0.0, 359.9), offset_px=st.floats(-3.0, 3.0))
 @example(angle_deg=179.984375, offset_px=0.0)
+# one grey value in the corner: there the directions lie on both sides of a partition's border
+@example(angle_deg=0.00390625, offset_px=0.00390625)
 def test_a_straight_edge_is_one_line_at_its_place(angle_deg: float, offset_px: float) -> None:
-    assert_one_line(angle_deg, offset_px)
-
-
-@pytest.mark.xfail(strict=True, reason="an edge on the border of a direction partition loses one flank: 0.43 px")
-def test_an_edge_on_the_border_of_a_direction_partition_keeps_both_flanks() -> None:
-    # one grey value in the corner: there the flank's directions lie on both sides of the border
-    assert_one_line(0.00390625, 0.00390625)
-
-
-def assert_one_line(angle_deg: float, offset_px: float) -> None:
     lines = lines_of(step_image(angle_deg, offset_px))
     longest = int(lines.length_px.argmax())
     assert lines.length_px[longest] > 70.0
