@@ -1,7 +1,7 @@
 """Step 11b: the grey levels that a stretch of an outline has, by weighted least squares, for many stretches at once.
 
 Sums over the offsets of the profiles come first, as products with the few rows that the model is; then sums over the
-samples of a stretch; what is left are five levels a stretch, small systems that are solved side by side.
+samples of a stretch; what is left are six levels a stretch, small systems that are solved side by side.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from srvs_cell.vision.profiles import Profiles
 
 _SIDE_SIGMA = 60.0
-"""Grey values by which a side face may differ from what lies behind it."""
+"""Grey values by which a side face may differ from its shadow, and this from what lies behind it."""
+_SHADE_SIGMA = 10.0
+"""Grey values by which a shadow may differ from what the lamp leaves of what lies behind it."""
 _LEAST_RIDGE = 1e-6
 _ONES = np.ones(len(OFFSETS_PX), dtype=np.float32)
 
@@ -30,86 +32,98 @@ _ONES = np.ones(len(OFFSETS_PX), dtype=np.float32)
 class LevelNormal:
     """Cholesky factors of the normal matrices of the levels of B x G stretches.
 
-    In each image a stretch has a level of the face and one of what lies behind; that of the side face is the same in
-    both, and comes last: all but that can be done for both images at once.
+    In each image a stretch has a level of the face and one of what lies behind, its own; the side face and the shadow
+    on the table have one each in both, the common ones, which come last.
 
     Attributes:
-        face, behind: the diagonal, shape (2, B, G).
-        side: its last element, shape (B, G).
-        face_behind, face_side, behind_side: below the diagonal, shape (2, B, G).
-        behind_both: the same between what lies behind in both images, shape (B, G).
+        own: the diagonal of face and behind, and what couples them, shape (3, 2, B, G).
+        mixed: what couples side face and shadow (first axis) with face and behind (second), shape (2, 2, 2, B, G).
+        common: the diagonal of side face and shadow, and what couples them, shape (3, B, G).
     """
 
-    face: Array
-    behind: Array
-    side: Array
-    face_behind: Array
-    face_side: Array
-    behind_side: Array
-    behind_both: Array
+    own: Array
+    mixed: Array
+    common: Array
 
     @classmethod
     def of(cls, profiles: Profiles, weights: NDArray[np.float32], noise: float) -> LevelNormal:
         """Factor the normal matrices that the values' weights make."""
-        weighted = weights * profiles.shares
-        by_sample = np.empty((6, *weights.shape[1:]), dtype=np.float32)
-        by_sample[0] = over_offsets(weights, profiles.model.face**2)
-        by_sample[1:3] = over_offsets(weighted, profiles.model.face)
-        by_sample[3:5] = over_offsets(weighted * profiles.shares)
-        by_sample[5] = over_offsets(weighted[0] * profiles.shares[1])
-        ff, fs, fb, ss, bb, bs = of_stretches(by_sample)
-        # a side face that is hidden has no level: it is held to the mean of the backgrounds
-        tie = 0.25 * (noise / _SIDE_SIGMA) ** 2
-        face = np.sqrt(ff + _LEAST_RIDGE)
-        face_behind, face_side = fb / face, fs / face
-        behind = np.sqrt(bb + (tie + _LEAST_RIDGE) - face_behind**2)
-        behind_side = (bs - 2.0 * tie - face_behind * face_side) / behind
-        behind_both = tie / behind[0]
-        alone = behind[1].copy()
-        behind[1] = np.sqrt(alone**2 - behind_both**2)
-        behind_side[1] = (behind_side[1] * alone - behind_both * behind_side[0]) / behind[1]
-        left = ss - face_side**2 - behind_side**2
-        side = np.sqrt(left[0] + left[1] + (4.0 * tie + _LEAST_RIDGE))
-        return cls(face, behind, side, face_behind, face_side, behind_side, behind_both)
+        face, outside, shares = profiles.model.face, profiles.model.outside, profiles.shares
+        weighted = weights * shares
+        by_sample = np.empty((10, *weights.shape[1:]), dtype=np.float32)
+        by_sample[:3] = over_offsets(weights, np.stack([face**2, face * outside, outside**2]))
+        by_sample[3:7] = over_offsets(weighted, np.stack([face, outside])).reshape(4, *weights.shape[1:])
+        by_sample[7:9] = over_offsets(weighted * shares)
+        by_sample[9] = over_offsets(weighted[0] * shares[1])
+        # face, all outside of it, side face, behind
+        ff, fo, oo, fs, so, fb, bo, ss, bb, sb = of_stretches(by_sample)
+        # the shadow is what is left outside
+        fd, sd, db = fo - fs - fb, so - ss - sb, bo - sb - bb
+        dd = oo - so - bo - sd - db
+        # what is hidden has no level: the side face is held to the shadow, and this to what lies behind, darkened
+        tie, shade = (noise / _SIDE_SIGMA) ** 2, 1.0 if profiles.shade is None else profiles.shade
+        shade_tie = tie if profiles.shade is None else (noise / _SHADE_SIGMA) ** 2
+        own, mixed, common = np.empty((3, *ff.shape)), np.empty((2, 2, *ff.shape)), np.empty((3, *ff.shape[1:]))
+        own[0] = np.sqrt(ff + _LEAST_RIDGE)
+        own[2] = fb / own[0]
+        own[1] = np.sqrt(bb + (shade_tie * shade**2 + _LEAST_RIDGE) - own[2] ** 2)
+        mixed[:, 0] = (fs, fd) / own[0]
+        mixed[:, 1] = ((sb, db - shade_tie * shade) - own[2] * mixed[:, 0]) / own[1]
+        left = np.stack([ss, dd, sd])
+        left[:2] -= (mixed**2).sum(axis=1)
+        left[2] -= (mixed[0] * mixed[1]).sum(axis=0)
+        left_side, left_shadow, left_both = left.sum(axis=1)
+        common[0] = np.sqrt(left_side + (2.0 * tie + _LEAST_RIDGE))
+        common[2] = (left_both - 2.0 * tie) / common[0]
+        common[1] = np.sqrt(left_shadow + (2.0 * tie + 2.0 * shade_tie + _LEAST_RIDGE) - common[2] ** 2)
+        return cls(own, mixed, common)
 
     def levels(self, sums: Array) -> Array:
-        """Return the levels that explain weighted sums of grey values, both of shape (3, 2, B, G)."""
-        face, behind, side = self._forward(sums[:, :, :, None])
+        """Return the levels of face, behind, side face and shadow that explain weighted sums, all (4, 2, B, G)."""
+        own, side, shadow = self._forward(sums[:, :, :, None])
         levels = np.empty(sums.shape)
-        levels[2] = side = side[:, 0] / self.side
-        behind = behind[:, :, 0] - self.behind_side * side
-        levels[1, 1] = behind[1] / self.behind[1]
-        levels[1, 0] = (behind[0] - self.behind_both * levels[1, 1]) / self.behind[0]
-        levels[0] = (face[:, :, 0] - self.face_behind * levels[1] - self.face_side * side) / self.face
+        levels[3] = shadow[:, 0] / self.common[1]
+        levels[2] = (side[:, 0] - self.common[2] * levels[3, 0]) / self.common[0]
+        own = own[:, :, :, 0] - self.mixed[0] * levels[2] - self.mixed[1] * levels[3]
+        levels[1] = own[1] / self.own[1]
+        levels[0] = (own[0] - self.own[2] * levels[1]) / self.own[0]
         return levels
 
     def whitened(self, sums: Array) -> Array:
-        """Return rows of each face whose products are what levels explain: (3, 2, B, P, G) becomes (B, P, 5 G)."""
-        face, behind, side = self._forward(sums)
-        return np.concatenate([*face, *behind, side], axis=-1)
+        """Return rows of each face whose products are what levels explain: (4, 2, B, P, G) becomes (B, P, 6 G)."""
+        own, side, shadow = self._forward(sums)
+        return np.concatenate([*own[0], *own[1], side, shadow], axis=-1)
 
     def _forward(self, sums: Array) -> tuple[Array, Array, Array]:
-        """Solve with the factor: (3, 2, B, P, G) becomes twice (2, B, P, G) and (B, P, G)."""
-        face = sums[0] / self.face[:, :, None]
-        behind = (sums[1] - self.face_behind[:, :, None] * face) / self.behind[:, :, None]
-        behind[1] -= (self.behind_both / self.behind[1])[:, None] * behind[0]
-        left = sums[2] - self.face_side[:, :, None] * face - self.behind_side[:, :, None] * behind
-        return face, behind, (left[0] + left[1]) / self.side[:, None]
+        """Solve with the factor: (4, 2, B, P, G) becomes (2, 2, B, P, G) and twice (B, P, G)."""
+        own = np.empty((2, *sums.shape[1:]))
+        own[0] = sums[0] / self.own[0][:, :, None]
+        own[1] = (sums[1] - self.own[2][:, :, None] * own[0]) / self.own[1][:, :, None]
+        side, shadow = (sums[2:] - (self.mixed[:, :, :, :, None] * own).sum(axis=1)).sum(axis=1)
+        side /= self.common[0][:, None]
+        shadow -= self.common[2][:, None] * side
+        shadow /= self.common[1][:, None]
+        return own, side, shadow
 
 
 def by_level(profiles: Profiles, weighted: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return sums of weighted values over the offsets by face, background and side face, shape (3, 2, B, N)."""
-    by_sample = np.empty((3, *weighted.shape[1:]), dtype=np.float32)
-    by_sample[0] = over_offsets(weighted, profiles.model.face)
-    by_sample[2:0:-1] = over_offsets(weighted * profiles.shares)
+    """Return sums of weighted values over the offsets by face, behind, side face and shadow, shape (4, 2, B, N)."""
+    by_sample = np.empty((4, *weighted.shape[1:]), dtype=np.float32)
+    by_sample[:2] = over_offsets(weighted, np.stack([profiles.model.face, profiles.model.outside]))
+    outside = by_sample[1].copy()
+    by_sample[2], by_sample[1] = over_offsets(weighted * profiles.shares)
+    by_sample[3] = outside - by_sample[1] - by_sample[2]
     return by_sample
 
 
 def over_offsets(values: NDArray[np.float32], factors: NDArray[np.float32] = _ONES) -> NDArray[np.float32]:
-    """Return sums over the offsets, each value times its offset's factor: (..., T, 2, B, N) becomes (..., 2, B, N)."""
+    """Return sums over the offsets, each value times its offset's factor: (..., T, 2, B, N) becomes (..., 2, B, N).
+
+    Factors have the shape (T,), or (K, T) for as many sums, whose numbers then come in place of the offsets.
+    """
     *more, offsets, eyes, faces, samples = values.shape
     sums: NDArray[np.float32] = factors @ values.reshape(*more, offsets, -1)
-    return sums.reshape(*more, eyes, faces, samples)
+    return sums.reshape(*sums.shape[:-1], eyes, faces, samples)
 
 
 @lru_cache(maxsize=8)

@@ -158,9 +158,9 @@ class Outlines:
         room_mm = np.where(inclined, self.values[:, 2] - np.abs(slope) * half_mm - z_mm, np.inf)
         return room_mm, by_parameter * inclined[:, None]
 
-    def points_mm(self) -> Array:
-        """Return the samples in the base frame, shape (B, 3, N)."""
-        points: Array = self._placements()[:, :3] @ self.unit
+    def points_mm(self, unit: Array | None = None) -> Array:
+        """Return the samples, or other points (u, v, 1) of the unit square, in the base frame, shape (B, 3, N)."""
+        points: Array = self._placements()[:, :3] @ (self.unit if unit is None else unit)
         return points
 
     def seen(self, rig: RectifiedRig) -> Borders:
@@ -185,6 +185,13 @@ class Outlines:
         changes = rig.projections[:, None, None, :, :3] @ self._changes(placements)
         by_parameter = changes.reshape(*seen.shape[:2], -1, 9) @ by_element
         return Borders(points, normals, (length / depth)[:, :, 0], depth[:, :, 0], by_parameter, in_front)
+
+    def normals_mm(self) -> Array:
+        """Return the horizontal unit normals that point away from the figures, base frame x and y, shape (B, 2, N)."""
+        along = (self._placements()[:, :3] @ self.ways)[:, :2]
+        normals: Array = along[:, ::-1] / np.maximum(np.hypot(along[:, :1], along[:, 1:]), _TINY)
+        normals[:, 1] *= -1.0
+        return normals
 
     def side_px(self, borders: Borders, rig: RectifiedRig, table_z_mm: float) -> Array:
         """Return how far outside of the border the table's points under the samples are seen, shape (2, B, N).

@@ -6,7 +6,7 @@ picture's evidence: faint borders, too, that show no edge at any single place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,13 +17,14 @@ from srvs_cell.vision.outlines import Outlines, batches, newton_steps
 from srvs_cell.vision.profiles import GROUPS, USUAL_BLUR_PX, Pictures, Profiles, read_profiles
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
     from srvs_cell.vision.faces import Face
     from srvs_cell.vision.rectification import RectifiedRig
+    from srvs_cell.vision.shadows import Lamp
 
 BLURS_PX = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2)
 """Standard deviations that the picture of a sharp border may have."""
@@ -49,8 +50,10 @@ REACH = Effort((2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 """From a start a few pixels off."""
 SETTLE = Effort((1.0,) * 16)
 """From where the edges led; few faces need more than half of it to come to rest."""
-_FOR_BLUR = 48
-"""Samples that tell the blur."""
+_FOR_LIGHT = 48
+"""Samples that tell blur and lamp."""
+_EXPLAINED_SHARE = 0.97
+"""A lamp must leave less than this share unexplained of what is without it."""
 _ROBUST_SIGMA = 3.0
 _ROBUST_SHARE = 0.1
 """Share of a stretch's contrast that the picture may deviate from the model like noise."""
@@ -153,14 +156,32 @@ def measure_blur(faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, t
     """Return which blur explains the borders of well known faces best, pixels; the usual one where there are none."""
     if not faces:
         return USUAL_BLUR_PX
-    outlines = Outlines.of(faces, [False] * len(faces), _FOR_BLUR, equal_sides=True)
+    left_over = _left_over(faces, rig, table_z_mm)
+    return min(BLURS_PX, key=lambda blur_px: left_over(replace(pictures, blur_px=blur_px)))
+
+
+def measure_lamp(
+    lamps: Sequence[Lamp], faces: Sequence[Face], pictures: Pictures, rig: RectifiedRig, table_z_mm: float
+) -> Lamp | None:
+    """Return the lamp whose shadows explain the borders of well known faces best; None where none do it as well."""
+    if not lamps:
+        return None
+    left_over = _left_over(faces, rig, table_z_mm)
+    dark = left_over(replace(pictures, lamp=None))
+    left, best = min((left_over(replace(pictures, lamp=lamp)), number) for number, lamp in enumerate(lamps))
+    return lamps[best] if left < _EXPLAINED_SHARE * dark else None
+
+
+def _left_over(faces: Sequence[Face], rig: RectifiedRig, table_z_mm: float) -> Callable[[Pictures], float]:
+    """Return what the model leaves unexplained of the borders of faces, at least one, by what the pictures are."""
+    outlines = Outlines.of(faces, [False] * len(faces), _FOR_LIGHT, equal_sides=True)
     borders = outlines.seen(rig)
 
-    def energy(blur_px: float) -> float:
-        profiles = read_profiles(outlines, borders, pictures, rig, table_z_mm, blur_px)
+    def left_over(pictures: Pictures) -> float:
+        profiles = read_profiles(outlines, borders, pictures, rig, table_z_mm, pictures.blur_px)
         return float(_explain(profiles, pictures.noise).energy(profiles.weights).sum())
 
-    return min(BLURS_PX, key=energy)
+    return left_over
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,17 +227,19 @@ def _explain(profiles: Profiles, noise: float, robust: NDArray[np.float32] | Non
         levels = LevelNormal.of(profiles, weights, noise).levels(seen)
         spread = np.maximum(_ROBUST_SIGMA * noise, _ROBUST_SHARE * (levels.max(axis=(0, 1)) - levels.min(axis=(0, 1))))
         limit = spread.astype(np.float32).repeat(samples, axis=-1)
-        face, behind, side = levels.astype(np.float32).repeat(samples, axis=-1)
+        face, behind, side, shadow = levels.astype(np.float32).repeat(samples, axis=-1)
         residual = profiles.grey - face
-        residual -= (side - face) * profiles.shares[0]
-        residual -= (behind - face) * profiles.shares[1]
+        residual -= (shadow - face) * profiles.model.outside[:, None, None, None]
+        residual -= (side - shadow) * profiles.shares[0]
+        residual -= (behind - shadow) * profiles.shares[1]
         share = residual / limit
         share *= share
         share += 1.0
         share *= share
         np.reciprocal(share, out=share)
         weights = profiles.weights * share
-    gradient = (behind - side) * profiles.side_slope
+    gradient = (shadow - side) * profiles.slopes[0]
+    gradient += (behind - shadow) * profiles.slopes[1]
     gradient += (side - face) * profiles.model.border_slope[:, None, None, None]
     return _Explained(residual, share, weights, limit, gradient)
 
@@ -231,7 +254,7 @@ def _solved(profiles: Profiles, explained: _Explained, noise: float, room: tuple
     sloped = explained.weights * explained.gradient
     steepness = over_offsets(sloped * explained.gradient)
     pull = over_offsets(sloped * explained.residual)
-    # by level and parameter, of each stretch, shape (3, 2, B, 7, G)
+    # by level and parameter, of each stretch, shape (4, 2, B, 7, G)
     cross = of_stretches(by_level(profiles, sloped)[:, :, :, None] * moved.astype(np.float32))
     taken = LevelNormal.of(profiles, explained.weights, noise).whitened(cross)
     normal = ((moved * steepness[:, :, None]) @ moved.swapaxes(-1, -2)).sum(axis=0) - taken @ taken.swapaxes(-1, -2)

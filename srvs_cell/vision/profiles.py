@@ -1,8 +1,9 @@
 """Step 11b: the grey values across the outline of a face, and what a model of them expects.
 
 Across the border of a top face the grey value goes from that of the face to that of its side face, as far as this is
-seen, and on to that of what lies behind. The width of the visible side face follows from the face's height over the
-table, so that a sliver of a pixel is told from the face itself.
+seen, to that of the shadow on the table, as far as it reaches, and on to that of what lies behind. The width of the
+visible side face follows from the face's height over the table, that of the shadow from the height and from where the
+lamp stands, so that a sliver of a pixel is told from the face itself.
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
+from srvs_cell.vision.shadows import reach_px
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
     from srvs_cell.vision.outlines import Borders, Outlines
     from srvs_cell.vision.rectification import RectifiedRig
+    from srvs_cell.vision.shadows import Lamp
 
 GROUPS = 12
 """Stretches of an outline that have grey levels of their own: three of a rectangle's side, two of a hexagon's."""
@@ -28,7 +32,7 @@ USUAL_BLUR_PX = 0.85
 OFFSETS_PX = np.arange(-4.0, 3.5, 1.0, dtype=np.float32)
 """Where a profile is read, outwards from the border. Farther out the edge of a shadow would often be met."""
 _WIDTHS_PER_PX, _WIDEST_PX = 64, 12
-"""The visible widths of side faces that are looked up; beyond a profile's end they make no difference."""
+"""The widths of side faces and shadows that are looked up; beyond a profile's end they make no difference."""
 _MIN_SIGMA = 0.5
 _SPARSE = 4
 """Every so many rows are enough for a median of the whole picture."""
@@ -46,11 +50,13 @@ class Pictures:
         images: left and right, float32, shape (2, H, W).
         noise: standard deviation of the grey values.
         blur_px: standard deviation of the picture of a sharp border: lens, pixel and rectification.
+        lamp: what throws the shadows; None where that is not known, or nothing throws any.
     """
 
     images: NDArray[np.float32]
     noise: float
     blur_px: float = USUAL_BLUR_PX
+    lamp: Lamp | None = None
 
     @classmethod
     def of(cls, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Pictures:
@@ -64,16 +70,18 @@ class Pictures:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What is expected across a border: face (1 - b) + side (b - e) + background e, with a stretch's grey levels.
+    """What is expected across a border: face (1 - b) + side (b - e) + shadow (e - r) + background r, with grey levels.
 
     Attributes:
         face: the share 1 - b of the face itself, shape (T,).
+        outside: b, shape (T,).
         border_slope: how b changes when the border moves outwards, per pixel, shape (T,).
-        by_width: b - e, the share e of what lies beyond the side face and how that changes, for each width of the side
-            face in steps, shape (3, T, widths).
+        by_width: the share of what lies beyond so many pixels from the border, and how that changes when the border
+            moves outwards, for each width in steps, shape (2, T, widths).
     """
 
     face: NDArray[np.float32]
+    outside: NDArray[np.float32]
     border_slope: NDArray[np.float32]
     by_width: NDArray[np.float32]
 
@@ -83,20 +91,18 @@ class Model:
         """Return the model with borders of a width, one standard deviation."""
         widths_px = np.arange(_WIDEST_PX * _WIDTHS_PER_PX + 1) / _WIDTHS_PER_PX
         place = (OFFSETS_PX[:, None] - widths_px) / blur_px
-        beyond, slope = ndtr(place), -_PEAK / blur_px * np.exp(-0.5 * place**2)
-        by_width = np.stack([beyond[:, :1] - beyond, beyond, slope]).astype(np.float32)
-        return cls((1.0 - beyond[:, 0]).astype(np.float32), by_width[2, :, 0], by_width)
+        by_width = np.stack([ndtr(place), -_PEAK / blur_px * np.exp(-0.5 * place**2)]).astype(np.float32)
+        outside, slope = by_width[:, :, 0]
+        return cls(1.0 - outside, outside, slope, by_width)
 
-    def at(self, widths_px: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return b - e and e, shape (2, T, ...), and how e changes, (T, ...), where side faces are seen so wide."""
+    def beyond(self, widths_px: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the share of what lies beyond so many pixels from the border, and its change, each (T, ...)."""
+        widths_px = np.minimum(np.maximum(widths_px, 0.0), _WIDEST_PX)
         steps = np.rint(widths_px * _WIDTHS_PER_PX)
-        expected = np.take(self.by_width, steps.astype(np.intp), axis=2)
-        shares, slope = expected[:2], expected[2]
+        share, slope = np.take(self.by_width, steps.astype(np.intp), axis=2)
         # from the nearest width to the very one
-        change = slope * (widths_px - steps / _WIDTHS_PER_PX).astype(np.float32)
-        shares[0] -= change
-        shares[1] += change
-        return shares, slope
+        share += slope * (widths_px - steps / _WIDTHS_PER_PX).astype(np.float32)
+        return share, slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +116,9 @@ class Profiles:
         grey: what was seen, shape (T, 2, B, N).
         weights: 0 outside of the image; less than 1 where samples lie closer than a pixel, shape (T, 2, B, N).
         model: what is expected.
-        shares: of the side face, b - e, and of what lies beyond it, e, shape (2, T, 2, B, N).
-        side_slope: how e changes when the border moves outwards, per pixel, shape (T, 2, B, N).
+        shares: of the side face, b - e, and of what lies beyond it and its shadow, r, shape (2, T, 2, B, N).
+        slopes: how e and r change when the border moves outwards, per pixel, shape (2, T, 2, B, N).
+        shade: what shadows leave of the brightness of what lies behind; None where that is not known.
         by_parameter: how far the border at each sample moves outwards with the face's seven parameters, pixels, shape
             (2, B, 7, N).
     """
@@ -120,7 +127,8 @@ class Profiles:
     weights: NDArray[np.float32]
     model: Model
     shares: NDArray[np.float32]
-    side_slope: NDArray[np.float32]
+    slopes: NDArray[np.float32]
+    shade: float | None
     by_parameter: Array
 
 
@@ -150,16 +158,26 @@ def read_profiles(
     places[1, :, 1] += height
     places_x, places_y = places.reshape(2, len(OFFSETS_PX), -1)
     under = pictures.images.reshape(-1, width)
-    grey = cv2.remap(under, places_x, places_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    # as much of the side face shows as its foot lies outside of the face
+    seen = cv2.remap(under, places_x, places_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    grey = np.asarray(seen, dtype=np.float32).reshape(inside.shape)
+    # as much of the side face shows as its foot lies outside of the face; then its shadow, as far as it reaches
     model = Model.of(blur_px)
-    shares, side_slope = model.at(np.minimum(np.maximum(outlines.side_px(borders, rig, table_z_mm), 0.0), _WIDEST_PX))
+    foot_px = outlines.side_px(borders, rig, table_z_mm)
+    shares, slopes = np.empty((2, *grey.shape), dtype=np.float32), np.empty((2, *grey.shape), dtype=np.float32)
+    beyond, slopes[0] = model.beyond(foot_px)
+    np.subtract(model.outside[:, None, None, None], beyond, out=shares[0])
+    if pictures.lamp is None:
+        shares[1], slopes[1] = beyond, slopes[0]
+    else:
+        end_px = np.maximum(foot_px, reach_px(outlines, borders, rig, pictures.lamp))
+        shares[1], slopes[1] = model.beyond(end_px)
     spacing = np.minimum(borders.spacing_px, 1.0).astype(np.float32)
     return Profiles(
-        np.asarray(grey, dtype=np.float32).reshape(inside.shape),
+        grey,
         inside * spacing,
         model,
         shares,
-        side_slope,
+        slopes,
+        None if pictures.lamp is None else pictures.lamp.shade,
         borders.by_parameter,
     )

@@ -15,7 +15,8 @@ import numpy as np
 from srvs_cell.vision.face_sources import Sources
 from srvs_cell.vision.faces import Figure, same_place
 from srvs_cell.vision.joined_faces import joined_faces
-from srvs_cell.vision.profile_fit import measure_blur
+from srvs_cell.vision.lamp import likely_lamps
+from srvs_cell.vision.profile_fit import measure_blur, measure_lamp
 from srvs_cell.vision.profiles import Pictures
 from srvs_cell.vision.relief import risen, rising_outlines
 from srvs_cell.vision.top_faces import is_top
@@ -45,13 +46,15 @@ if TYPE_CHECKING:
 
 
 _TRUSTED_RMS_PX = 0.5
-"""A figure that fits worse does not explain what rises at its place."""
+"""A figure that fits worse does not explain what rises at its place, and does not tell the lamp."""
 _SEAM_PX = 1.5
 """Where a face stands over the table, its outline leaves at least a seam of this width in the relief."""
 _UNSEEN_PX = 200
 """So many pixels of relief that no face explains are a part that was not recognised."""
 _FOR_BLUR = 3
 """So many well known faces tell the blur of the picture."""
+_FOR_LAMP = 6
+"""So many faces that are known well enough tell where the lamp stands."""
 _SAME_MM = 4.0
 """A face made of two halves comes to rest within this of where they put it."""
 _WHOLE = 0.87
@@ -115,13 +118,16 @@ def _unexplained(known: list[Top], relief: Relief, evidence: Evidence) -> list[A
 
 
 def _bench_for(tops: list[Top], evidence: Evidence) -> Bench:
-    """Return what faces are fitted to; the surest tops tell how blurred the pictures are."""
+    """Return what faces are fitted to; the surest tops tell the lamp and how blurred the pictures are."""
     rig, table_z_mm, limits = evidence.rig, evidence.table_z_mm, evidence.limits
-    surest = sorted((top.fit for top in tops if top.fit.rms_px < CERTAIN_RMS_PX), key=lambda fit: fit.rms_px)
+    surest = sorted((top.fit for top in tops if top.fit.rms_px < _TRUSTED_RMS_PX), key=lambda fit: fit.rms_px)
+    known = [fit.face for fit in surest[:_FOR_LAMP]]
     pictures = Pictures.of(evidence.left.grey, evidence.right.grey)
-    blur_px = measure_blur([fit.face for fit in surest[:_FOR_BLUR]], pictures, rig, table_z_mm)
+    lamps = likely_lamps(known, evidence.fields[0], evidence.left.grey, rig, table_z_mm)
+    pictures = replace(pictures, lamp=measure_lamp(lamps, known, pictures, rig, table_z_mm))
+    certain = [fit.face for fit in surest[:_FOR_BLUR] if fit.rms_px < CERTAIN_RMS_PX]
     return Bench(
-        replace(pictures, blur_px=blur_px),
+        replace(pictures, blur_px=measure_blur(certain, pictures, rig, table_z_mm)),
         evidence.fields,
         rig,
         table_z_mm,

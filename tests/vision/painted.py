@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 SIZE = (640, 480)
 TABLE_Z_MM = 5.0
+TABLE_GREY = 110
+SHADOW_GREY = 65
 _SUPER = 4
 
 
@@ -71,12 +73,34 @@ def outline_mm(part: Part) -> Array:
     return part.face.corners_mm()
 
 
-def paint(parts: list[Part], seen_by: RectifiedRig, *, noise: float = 1.0, seed: int = 0) -> list[NDArray[np.uint8]]:
-    """Paint the left and the right image: side faces first, far parts first, then a little blur and noise."""
+def shadow_mm(part: Part, lamp_mm: tuple[float, float, float]) -> Array:
+    """Return the outline of a part's foot and shadow on the table."""
+    top, lamp = outline_mm(part), np.array(lamp_mm)
+    thrown = lamp + (top - lamp) * ((lamp[2] - TABLE_Z_MM) / (lamp[2] - top[:, 2]))[:, None]
+    flat = np.concatenate([top, thrown])[:, :2].astype(np.float32)
+    hull = cv2.convexHull(flat).reshape(-1, 2).astype(np.float64)
+    return np.column_stack([hull, np.full(len(hull), TABLE_Z_MM)])
+
+
+def paint(
+    parts: list[Part],
+    seen_by: RectifiedRig,
+    *,
+    noise: float = 1.0,
+    seed: int = 0,
+    lamp_mm: tuple[float, float, float] | None = None,
+) -> list[NDArray[np.uint8]]:
+    """Paint the left and the right image: side faces first, far parts first, then a little blur and noise.
+
+    A lamp at a place in the base frame throws shadows on the table.
+    """
     rng = np.random.default_rng(seed)
     images = []
     for side in (0.0, 1.0):
-        canvas = np.full((SIZE[1] * _SUPER, SIZE[0] * _SUPER), 110.0, np.float32)
+        canvas = np.full((SIZE[1] * _SUPER, SIZE[0] * _SUPER), float(TABLE_GREY), np.float32)
+        for part in parts:
+            if lamp_mm is not None:
+                _fill(canvas, seen_by, shadow_mm(part, lamp_mm), side, SHADOW_GREY)
         for part in parts:
             top = outline_mm(part)
             foot = top * (1.0, 1.0, 0.0) + (0.0, 0.0, TABLE_Z_MM)
