@@ -48,11 +48,11 @@ class LevelNormal:
     @classmethod
     def of(cls, profiles: Profiles, weights: NDArray[np.float32], noise: float) -> LevelNormal:
         """Factor the normal matrices that the values' weights make."""
-        face, outside, shares = profiles.model.face, profiles.model.outside, profiles.shares
+        model, shares = profiles.model, profiles.shares
         weighted = weights * shares
         by_sample = np.empty((10, *weights.shape[1:]), dtype=np.float32)
-        by_sample[:3] = over_offsets(weights, np.stack([face**2, face * outside, outside**2]))
-        by_sample[3:7] = over_offsets(weighted, np.stack([face, outside])).reshape(4, *weights.shape[1:])
+        by_sample[:3] = over_offsets(weights, model.squares)
+        by_sample[3:7] = over_offsets(weighted, model.shares).reshape(4, *weights.shape[1:])
         by_sample[7:9] = over_offsets(weighted * shares)
         by_sample[9] = over_offsets(weighted[0] * shares[1])
         # face, all outside of it, side face, behind
@@ -67,12 +67,19 @@ class LevelNormal:
         own[0] = np.sqrt(ff + _LEAST_RIDGE)
         own[2] = fb / own[0]
         own[1] = np.sqrt(bb + (shade_tie * shade**2 + _LEAST_RIDGE) - own[2] ** 2)
-        mixed[:, 0] = (fs, fd) / own[0]
-        mixed[:, 1] = ((sb, db - shade_tie * shade) - own[2] * mixed[:, 0]) / own[1]
-        left = np.stack([ss, dd, sd])
-        left[:2] -= (mixed**2).sum(axis=1)
-        left[2] -= (mixed[0] * mixed[1]).sum(axis=0)
-        left_side, left_shadow, left_both = left.sum(axis=1)
+        (side_face, side_behind), (shadow_face, shadow_behind) = mixed
+        np.divide(fs, own[0], out=side_face)
+        np.divide(fd, own[0], out=shadow_face)
+        np.divide(sb - own[2] * side_face, own[1], out=side_behind)
+        np.divide(db - shade_tie * shade - own[2] * shadow_face, own[1], out=shadow_behind)
+        left_side, left_shadow, left_both = (
+            each[0] + each[1]
+            for each in (
+                ss - side_face**2 - side_behind**2,
+                dd - shadow_face**2 - shadow_behind**2,
+                sd - side_face * shadow_face - side_behind * shadow_behind,
+            )
+        )
         common[0] = np.sqrt(left_side + (2.0 * tie + _LEAST_RIDGE))
         common[2] = (left_both - 2.0 * tie) / common[0]
         common[1] = np.sqrt(left_shadow + (2.0 * tie + 2.0 * shade_tie + _LEAST_RIDGE) - common[2] ** 2)
@@ -109,7 +116,7 @@ class LevelNormal:
 def by_level(profiles: Profiles, weighted: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return sums of weighted values over the offsets by face, behind, side face and shadow, shape (4, 2, B, N)."""
     by_sample = np.empty((4, *weighted.shape[1:]), dtype=np.float32)
-    by_sample[:2] = over_offsets(weighted, np.stack([profiles.model.face, profiles.model.outside]))
+    by_sample[:2] = over_offsets(weighted, profiles.model.shares)
     outside = by_sample[1].copy()
     by_sample[2], by_sample[1] = over_offsets(weighted * profiles.shares)
     by_sample[3] = outside - by_sample[1] - by_sample[2]

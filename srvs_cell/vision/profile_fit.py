@@ -229,7 +229,7 @@ def _explain(profiles: Profiles, noise: float, robust: NDArray[np.float32] | Non
         limit = spread.astype(np.float32).repeat(samples, axis=-1)
         face, behind, side, shadow = levels.astype(np.float32).repeat(samples, axis=-1)
         residual = profiles.grey - face
-        residual -= (shadow - face) * profiles.model.outside[:, None, None, None]
+        residual -= (shadow - face) * profiles.model.shares[1, :, None, None, None]
         residual -= (side - shadow) * profiles.shares[0]
         residual -= (behind - shadow) * profiles.shares[1]
         share = residual / limit

@@ -73,15 +73,15 @@ class Model:
     """What is expected across a border: face (1 - b) + side (b - e) + shadow (e - r) + background r, with grey levels.
 
     Attributes:
-        face: the share 1 - b of the face itself, shape (T,).
-        outside: b, shape (T,).
+        shares: of the face itself, 1 - b, and of all outside of it, b, shape (2, T).
+        squares: (1 - b)^2, (1 - b) b and b^2, shape (3, T).
         border_slope: how b changes when the border moves outwards, per pixel, shape (T,).
         by_width: the share of what lies beyond so many pixels from the border, and how that changes when the border
             moves outwards, for each width in steps, shape (2, T, widths).
     """
 
-    face: NDArray[np.float32]
-    outside: NDArray[np.float32]
+    shares: NDArray[np.float32]
+    squares: NDArray[np.float32]
     border_slope: NDArray[np.float32]
     by_width: NDArray[np.float32]
 
@@ -93,7 +93,9 @@ class Model:
         place = (OFFSETS_PX[:, None] - widths_px) / blur_px
         by_width = np.stack([ndtr(place), -_PEAK / blur_px * np.exp(-0.5 * place**2)]).astype(np.float32)
         outside, slope = by_width[:, :, 0]
-        return cls(1.0 - outside, outside, slope, by_width)
+        face = 1.0 - outside
+        squares = np.stack([face**2, face * outside, outside**2])
+        return cls(np.stack([face, outside]), squares, slope, by_width)
 
     def beyond(self, widths_px: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the share of what lies beyond so many pixels from the border, and its change, each (T, ...)."""
@@ -165,7 +167,7 @@ def read_profiles(
     foot_px = outlines.side_px(borders, rig, table_z_mm)
     shares, slopes = np.empty((2, *grey.shape), dtype=np.float32), np.empty((2, *grey.shape), dtype=np.float32)
     beyond, slopes[0] = model.beyond(foot_px)
-    np.subtract(model.outside[:, None, None, None], beyond, out=shares[0])
+    np.subtract(model.shares[1, :, None, None, None], beyond, out=shares[0])
     if pictures.lamp is None:
         shares[1], slopes[1] = beyond, slopes[0]
     else:

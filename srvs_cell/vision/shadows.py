@@ -7,6 +7,7 @@ are the convex hull of the foot and of the top face's picture on the table, seen
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,9 +25,8 @@ _MOST_NEARNESS = 1.0 / 400.0
 """No lamp stands lower than this over the table, one over millimetres."""
 _ALONG = 1e-3
 """A side that is so nearly along a ray does not end it."""
-_TURN = np.arange(36) * (2.0 * np.pi / 36)
-_CIRCLE = np.column_stack([np.cos(_TURN), np.sin(_TURN)])
-"""The polygon that stands for a circle; a border across is seen at a shadow's end to fractions of a pixel."""
+_CIRCLE_CORNERS = 36
+"""Of the polygon that stands for a circle: its shadow ends within a fraction of a pixel of the circle's."""
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -87,14 +87,13 @@ def reach_px(outlines: Outlines, borders: Borders, rig: RectifiedRig, lamp: Lamp
     """
     reach = np.zeros(borders.spacing_px.shape)
     for figure in set(outlines.figures):
-        some = [number for number, one in enumerate(outlines.figures) if one is figure]
-        corners = _CIRCLE if figure is Figure.CIRCLE else unit_corners(figure)
-        tops = outlines.points_mm(np.column_stack([corners, np.ones(len(corners))]).T)[some]
+        some = np.flatnonzero([one is figure for one in outlines.figures])
+        tops = outlines.points_mm(_corners(figure))[some]
         on_table = np.concatenate([tops[:, :2], lamp.shadows_mm(tops)], axis=2)
         flat = np.stack([on_table[:, 0], on_table[:, 1], np.full_like(on_table[:, 0], lamp.table_z_mm)], axis=1)
         seen = rig.projections[:, None, :, :3] @ flat + rig.projections[:, None, :, 3:]
         hull = seen[:, :, :2] / seen[:, :, 2:]
-        feet, shadows = hull[..., : len(corners)], hull[..., len(corners) :]
+        feet, shadows = hull[..., : tops.shape[2]], hull[..., tops.shape[2] :]
         # the hull's sides: those of the foot, those of the shadow, which a circle shares, and two along the light
         sides = [_along(feet, figure)] if figure is Figure.CIRCLE else [_along(feet, figure), _along(shadows, figure)]
         along = np.concatenate([*sides, _outermost(feet, shadows)], axis=3)
@@ -102,11 +101,23 @@ def reach_px(outlines: Outlines, borders: Borders, rig: RectifiedRig, lamp: Lamp
         across = np.stack([-along[:, :, 1], along[:, :, 0]], axis=3)
         across /= np.maximum(np.hypot(across[..., :1], across[..., 1:]), _TINY)
         limit = (across @ hull).max(axis=3)
-        room = limit[..., None] - across @ borders.points_px[:, some]
-        speed = across @ borders.normals[:, some]
-        ends = np.where(speed > _ALONG, room / np.maximum(speed, _ALONG), np.inf)
+        near = across.astype(np.float32)
+        room = limit[..., None].astype(np.float32) - near @ borders.points_px[:, some].astype(np.float32)
+        speed = near @ borders.normals[:, some].astype(np.float32)
+        ends = np.full_like(room, np.inf)
+        np.divide(room, speed, out=ends, where=speed > _ALONG)
         reach[:, some] = ends.min(axis=2)
     return reach
+
+
+@lru_cache(maxsize=3)
+def _corners(figure: Figure) -> Array:
+    """Return the corners of a figure in its unit square, homogeneous (u, v, 1), shape (3, K)."""
+    corners = unit_corners(figure)
+    if figure is Figure.CIRCLE:
+        turn = np.arange(_CIRCLE_CORNERS) * (2.0 * np.pi / _CIRCLE_CORNERS)
+        corners = np.column_stack([np.cos(turn), np.sin(turn)])
+    return np.column_stack([corners, np.ones(len(corners))]).T
 
 
 def _outermost(feet: Array, shadows: Array) -> Array:

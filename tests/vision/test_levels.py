@@ -39,7 +39,7 @@ def profiles(widths_px: tuple[float, float, float, float], shade: float | None) 
     ends = np.array(widths_px).reshape(2, 2, 1, 1) + np.zeros((FACES, SAMPLES))
     foot, slope = model.beyond(ends[:, 0])
     end, end_slope = model.beyond(ends[:, 1])
-    shares = np.stack([model.outside[:, None, None, None] - foot, end])
+    shares = np.stack([model.shares[1, :, None, None, None] - foot, end])
     grey, weights = (random.uniform(0.0, most, shape).astype(np.float32) for most in (255.0, 1.0))
     return Profiles(grey, weights, model, shares, np.stack([slope, end_slope]), shade, np.zeros((2, FACES, 7, SAMPLES)))
 
@@ -50,7 +50,7 @@ def columns(seen: Profiles, eye: int, face: int, samples: slice) -> Array:
     Face and background of the left and of the right image, side face, shadow.
     """
     side, behind = seen.shares[:, :, eye, face, samples].astype(np.float64)
-    own = np.broadcast_to(seen.model.face.astype(np.float64)[:, None], side.shape)
+    own = np.broadcast_to(seen.model.shares[0].astype(np.float64)[:, None], side.shape)
     shadow = 1.0 - own - side - behind
     nothing = np.zeros_like(side)
     both = [own, behind, nothing, nothing] if eye == 0 else [nothing, nothing, own, behind]
@@ -99,8 +99,8 @@ def test_the_model_shares_each_value_out_and_knows_how_it_moves() -> None:
     behind, slope = model.beyond(widths_px)
     assert behind == pytest.approx(ndtr((OFFSETS_PX[:, None] - widths_px) / 0.7), abs=1e-4)
     # what lies beyond the border itself is all that is not the face
-    assert model.outside == pytest.approx(behind[:, 0], abs=1e-6)
-    assert model.face == pytest.approx(1.0 - model.outside, abs=1e-6)
+    assert model.shares[1] == pytest.approx(behind[:, 0], abs=1e-6)
+    assert model.shares.sum(axis=0) == pytest.approx(np.ones(len(OFFSETS_PX)), abs=1e-6)
     # a border that moves outwards by a step is what a side face wider by that step ends in
     assert slope == pytest.approx(np.gradient(behind, 0.01, axis=1), abs=0.01)
     # what reaches farther than any profile, or is hidden, makes no difference
