@@ -3,8 +3,8 @@
 Pixels with a strong gradient are labelled by the gradient's direction in two overlapping partitions of 45 degrees, the
 second turned by 22.5 degrees, so that a line whose direction falls on the border of one lies within the other.
 Connected pixels of one label are a line-support region. Each pixel votes for the longer of its two regions, of two as
-long for the larger; a region's support is the share of its pixels that vote for it, and regions with enough support and
-length are kept.
+long for one that is clearly larger; a region's support is the share of its pixels that vote for it, and regions with
+enough support and length are kept.
 
 Few pixels have a strong gradient: after the threshold only these are looked at, as runs of one label along the rows.
 """
@@ -30,6 +30,8 @@ _PARTITIONS = 8
 _TURNS_DEG = (0.0, _PARTITION_DEG / 2.0)
 _CHANCE_PX = 1.0
 """Votes that a region may lack: along an arc half of the pixels vote for it, give or take where the rows cut it."""
+_CLEARLY_LARGER = 1.4
+"""A region with so many times the pixels of one as long is the whole of what that is a flank of."""
 _KERNEL_SIGMAS = 4.0
 _MASK = np.array([[-0.5, 0.5], [-0.5, 0.5]], dtype=np.float32)
 
@@ -163,14 +165,14 @@ def support_regions(
 def votes_for_first(first: SupportRegions, second: SupportRegions) -> NDArray[np.bool_]:
     """Return whether each strong pixel votes for its region of the first partition, shape (N,).
 
-    It votes for the longer of its two regions, of two as long for the larger, of two as large for the first. Along a
-    line whose direction falls on the border of one partition its regions there lie side by side, each as long as the
-    whole: by length alone they would take half of the votes, and neither they nor the whole had support enough.
+    It votes for the longer of its two regions, of two as long for the first one unless the second is clearly larger.
+    Along a line whose direction falls on the border of one partition its regions there lie side by side, each as long
+    as the whole: by length alone they would take half of the votes, and neither they nor the whole had support enough.
     """
     one, other = first.of_pixel, second.of_pixel
     longer = first.length_px[one] - second.length_px[other]
-    larger = first.pixels[one] >= second.pixels[other]
-    return np.where(longer == 0.0, larger, longer > 0.0)
+    whole = _CLEARLY_LARGER * first.pixels[one] > second.pixels[other]
+    return np.where(longer == 0.0, whole, longer > 0.0)
 
 
 def _partition(direction_deg: NDArray[np.float32], turn_deg: float) -> NDArray[np.int8]:
