@@ -11,7 +11,8 @@ import pytest
 from srvs_cell.vision.faces import Face, Figure
 from srvs_cell.vision.profile_fit import BLURS_PX, REACH, SETTLE, fit_profiles, measure_blur
 from srvs_cell.vision.profiles import USUAL_BLUR_PX, Pictures
-from tests.vision.painted import TABLE_Z_MM, Part, cuboid, paint, rig
+from srvs_cell.vision.shadows import Lamp
+from tests.vision.painted import SHADOW_GREY, TABLE_GREY, TABLE_Z_MM, Part, cuboid, paint, rig
 
 BOX = cuboid(500.0, 50.0, 50.0, 20.0, (60.0, 40.0), 200)
 
@@ -76,6 +77,36 @@ def test_a_sliver_of_dark_side_face_does_not_pull_the_face(height_mm: float) -> 
     assert (fit.face.x_mm, fit.face.y_mm) == pytest.approx((part.face.x_mm, part.face.y_mm), abs=0.15)
     assert (fit.face.length_mm, fit.face.width_mm) == pytest.approx((60.0, 40.0), abs=0.4)
     assert fit.face.z_mm == pytest.approx(part.face.z_mm, abs=1.0)
+
+
+LOW = replace(cuboid(500.0, 20.0, 15.0, 10.0, (60.0, 40.0), 180), side_grey=90)
+
+
+def with_shadow(azimuth_deg: float, lean: float) -> tuple[Pictures, Lamp]:
+    """Return pictures of a low part with a strip of shadow beside it, one to four pixels wide, and what throws it."""
+    turn, height_mm = np.deg2rad(azimuth_deg), 1200.0
+    x, y = lean * np.cos(turn), lean * np.sin(turn)
+    place = (500.0 + x * height_mm, 20.0 + y * height_mm, TABLE_Z_MM + height_mm)
+    pictures = Pictures.of(*paint([LOW], rig(), noise=1.0, lamp_mm=place))
+    return pictures, Lamp((500.0, 20.0), (x, y), 1.0 / height_mm, TABLE_Z_MM, SHADOW_GREY / TABLE_GREY)
+
+
+@pytest.mark.parametrize("azimuth_deg", range(0, 360, 30))
+@pytest.mark.parametrize("lean", [0.1, 0.2])
+def test_a_strip_of_shadow_does_not_pull_the_face(azimuth_deg: float, lean: float) -> None:
+    pictures, lamp = with_shadow(azimuth_deg, lean)
+    (fit,) = fit_profiles([LOW.face], [False], replace(pictures, lamp=lamp), rig(), TABLE_Z_MM, SETTLE)
+    assert fit is not None
+    assert fit.face.z_mm == pytest.approx(LOW.face.z_mm, abs=0.7)
+    assert (fit.face.x_mm, fit.face.y_mm) == pytest.approx((LOW.face.x_mm, LOW.face.y_mm), abs=0.15)
+    assert fit.rms_px < 0.05
+
+
+def test_a_strip_of_shadow_of_which_nothing_is_known_pulls_it() -> None:
+    pictures, _ = with_shadow(270.0, 0.2)
+    (fit,) = fit_profiles([LOW.face], [False], pictures, rig(), TABLE_Z_MM, SETTLE)
+    assert fit is not None
+    assert abs(fit.face.z_mm - LOW.face.z_mm) > 1.5
 
 
 def test_a_good_fit_is_told_from_a_bad_one() -> None:
