@@ -76,3 +76,13 @@ def test_shadows_of_parts_that_are_not_known_tell_nothing() -> None:
     elsewhere = [replace(part, face=replace(part.face, x_mm=part.face.x_mm + 30.0)) for part in PARTS]
     assert find(PARTS, elsewhere, LAMPS_MM[0]) is None
     assert find(PARTS, [], LAMPS_MM[0]) is None
+
+
+def test_a_lamp_that_explains_less_than_none_is_not_taken() -> None:
+    left, right = paint(PARTS, rig(), noise=1.5, lamp_mm=LAMPS_MM[0])
+    faces, pictures = [part.face for part in PARTS], Pictures.of(left, right)
+    true = find(PARTS, PARTS, LAMPS_MM[0])
+    assert true is not None
+    opposite = replace(true, lean=(-true.lean[0], -true.lean[1]))
+    assert measure_lamp([opposite], faces, pictures, rig(), TABLE_Z_MM) is None
+    assert measure_lamp([opposite, true], faces, pictures, rig(), TABLE_Z_MM) is true
