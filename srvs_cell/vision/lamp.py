@@ -3,8 +3,8 @@
 One lamp that is brighter than the rest throws shadows with sharp borders. The shadow of a top face's outline is its
 picture on the table, seen from the lamp: the lamp stands where these pictures fall on edges of the left image, dark
 within. The light's lean is searched on a small picture, then all that is to be known of the lamp follows by
-Gauss-Newton. Where too few edges are met nothing is said. Whether such a lamp explains what is seen beside the faces is
-for `srvs_cell.vision.profile_fit.measure_lamp` to tell.
+Gauss-Newton. Where too few edges are met nothing is said. Where nearly all are the lamp is certain; whether another one
+explains what is seen beside the faces is for `srvs_cell.vision.profile_fit.measure_lamp` to tell.
 """
 
 from __future__ import annotations
@@ -54,17 +54,30 @@ _LEAST_REACH_MM = 2.0
 _MET_PX = 1.0
 _LEAST_MET, _LEAST_SHARE = 3, 0.4
 """So many samples, and this share of those that could, must meet an edge: whether it is a lamp more is to tell."""
-_MANY_MET, _UNDOUBTED_SHARE = 16, 0.9
-"""Where so many do there is no other place."""
+_MANY_MET, _CERTAIN_SHARE = 8, 0.94
+"""Where so many do there is no other place, whatever faces that may be wrong make of it."""
 _CLEAR_OF_EDGE_PX = 3.0
 _DARKEST = 0.05
 _FLAT = 1e-9
 
 
-def likely_lamps(
+@dataclass(frozen=True)
+class FoundLamps:
+    """Where a lamp may stand that throws the shadows of parts.
+
+    Attributes:
+        certain: where nearly all edges of shadows are met that could be; None where there is no such place.
+        likely: places that are told by some edges, the clearest shadows first; not asked for where one is certain.
+    """
+
+    certain: Lamp | None
+    likely: tuple[Lamp, ...] = ()
+
+
+def find_lamps(
     faces: Sequence[Face], field: EdgeField, grey: NDArray[np.uint8], rig: RectifiedRig, table_z_mm: float
-) -> list[Lamp]:
-    """Return where a lamp may stand that throws the shadows of parts; nothing where nothing looks like their shadows.
+) -> FoundLamps:
+    """Return where a lamp may stand that throws the shadows of parts.
 
     Args:
         faces: well known top faces of parts that stand on the table.
@@ -73,17 +86,17 @@ def likely_lamps(
         rig: the rectified cameras.
         table_z_mm: height of the table, base frame.
     """
-    lamps: list[Lamp] = []
     if not faces:
-        return lamps
+        return FoundLamps(None)
+    likely = []
     rims = _Rims.of(faces, rig, table_z_mm, grey.shape, _SAMPLES)
     for start in _starts(faces, grey, rig, table_z_mm):
         lamp, met, possible = _refined(start, rims, field)
-        if met >= max(_MANY_MET, _UNDOUBTED_SHARE * possible):
-            return [lamp]
+        if met >= max(_MANY_MET, _CERTAIN_SHARE * possible):
+            return FoundLamps(lamp)
         if met >= max(_LEAST_MET, _LEAST_SHARE * possible):
-            lamps.append(lamp)
-    return lamps
+            likely.append(lamp)
+    return FoundLamps(None, tuple(likely))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,8 @@
 The foot of a side face, the edge of a shadow and a frame of print run parallel to the sides of a top face, a few
 pixels beside them. A rectangle that was fitted to such a line has another height or size than the face. Here the
 lines beside each side are found; each makes another rectangle, to be fitted and judged like the first. So does the
-slope that a level one may have, and the level one that a slanted one may be.
+slope that a level one may have, and the level one that a slanted one may be. A slanted one that ends over the table may
+go down to it: there the border of a wedge without a step is often not to be seen.
 """
 
 from __future__ import annotations
@@ -30,25 +31,35 @@ _ALONG = np.linspace(-0.7, 0.7, 32)
 _LINES_OF_SIDE = 2
 _SLOPE = 0.3
 """Rise per millimetre from which all the slopes that parts have are within reach."""
+_LEAST_STEP_MM = 3.0
+"""A slanted face that ends lower over the table ends where it meets it, give or take what is wrong with its height."""
+_MOST_LONGER = 1.0
+"""No face goes down to the table by more than its own length."""
 _LEAST_LEFT = 0.3
 """No side moves so far inwards that less of the rectangle is left."""
 _SIDES = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
 """Axis (0 along the length, 1 across it) and which end of it."""
 
 
-def other_rectangles(face: Face, field: EdgeField, rig: RectifiedRig, min_gradient: float) -> list[Face]:
-    """Return what a rectangle may be instead: with one side on a line beside it, or inclined where it is level.
+def other_rectangles(
+    face: Face, field: EdgeField, rig: RectifiedRig, table_z_mm: float, min_gradient: float
+) -> list[Face]:
+    """Return what a rectangle may be instead: with one side elsewhere, or inclined where it is level.
 
     Args:
         face: other figures than rectangles have no alternative.
         field: gradient of the rectified left image.
         rig: the rectified cameras.
+        table_z_mm: height of the table, base frame.
         min_gradient: least gradient of a line, grey values per pixel.
     """
     if face.figure is not Figure.RECTANGLE:
         return []
     offsets_mm = _OFFSETS_PX * float(rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
-    found = inclined_faces(face, _SLOPE) if face.slope_u == 0.0 else [replace(face, slope_u=0.0)]
+    if face.slope_u == 0.0:
+        found = inclined_faces(face, _SLOPE)
+    else:
+        found = [replace(face, slope_u=0.0), *_down_to_table(face, table_z_mm)]
     for axis, end in _SIDES:
         size_mm = (face.length_mm, face.width_mm)[axis]
         unit = np.empty((_OFFSETS_PX.size, _ALONG.size, 2))
@@ -59,6 +70,15 @@ def other_rectangles(face: Face, field: EdgeField, rig: RectifiedRig, min_gradie
             _moved(face, axis, end, float(shift)) for shift in shifts_mm if size_mm + shift > _LEAST_LEFT * size_mm
         ]
     return found
+
+
+def _down_to_table(face: Face, table_z_mm: float) -> list[Face]:
+    """Return a slanted rectangle that ends where its plane meets the table; nothing where it does so about itself."""
+    step_mm = face.lowest_mm - table_z_mm
+    longer_mm = step_mm / abs(face.slope_u)
+    if step_mm < _LEAST_STEP_MM or longer_mm > _MOST_LONGER * face.length_mm:
+        return []
+    return [_moved(face, 0, -float(np.sign(face.slope_u)), longer_mm)]
 
 
 def _lines(points_mm: Array, field: EdgeField, rig: RectifiedRig, min_gradient: float) -> NDArray[np.intp]:

@@ -75,6 +75,11 @@ _FAINT_SHARE = 0.3
 """A sample of a faint border is judged by this share of the outline's usual steepness."""
 _LOST_PX = 2.0
 """What a sample counts at most whose profile is another border's."""
+_LEAST_SHADOW_PX = 0.7
+"""A shadow of this width is expected beside a stretch, or nothing tells that the stretch is a shadow's border."""
+_LIKE_SHADOW, _UNLIKE_FACE = 0.15, 0.5
+"""Shares of the contrast of table and shadow: what lies within a shadow's border differs by less from the shadow and by
+more from the rest of the face."""
 
 
 def fit_profiles(
@@ -139,7 +144,7 @@ def _fit_batch(
             settled[:] = False
         if settled.any():
             done = np.flatnonzero(settled)
-            rms_px, support, excess = _judged(profiles.weights[:, :, done], explained.only(done), pictures.noise)
+            rms_px, support, excess = _judged(profiles.only(done), explained.only(done), pictures.noise)
             covariances = covariances[done] * (pictures.noise**2 * excess)[:, None, None]
             for one, face, *fit in zip(done, outlines.only(done).faces(), covariances, rms_px, support, strict=True):
                 fits[alive[one]] = FaceFit(face, fit[0], float(fit[1]), float(fit[2]))
@@ -189,6 +194,7 @@ class _Explained:
     """Profiles explained by grey levels: T offsets, B faces, N samples in each of both images.
 
     Attributes:
+        levels: of face, behind, side face and shadow, of each stretch, shape (4, 2, B, G).
         residual: seen minus expected, shape (T, 2, B, N).
         robust: how much each value counts because it is explained, 0 to 1, the same shape.
         weights: the profiles' weights times that.
@@ -196,6 +202,7 @@ class _Explained:
         gradient: how the expected values change when the border moves outwards, shape (T, 2, B, N).
     """
 
+    levels: Array
     residual: NDArray[np.float32]
     robust: NDArray[np.float32]
     weights: NDArray[np.float32]
@@ -205,6 +212,7 @@ class _Explained:
     def only(self, kept: NDArray[np.intp]) -> _Explained:
         """Return some of the faces by their numbers."""
         return _Explained(
+            self.levels[:, :, kept],
             self.residual[:, :, kept],
             self.robust[:, :, kept],
             self.weights[:, :, kept],
@@ -241,7 +249,7 @@ def _explain(profiles: Profiles, noise: float, robust: NDArray[np.float32] | Non
     gradient = (shadow - side) * profiles.slopes[0]
     gradient += (behind - shadow) * profiles.slopes[1]
     gradient += (side - face) * profiles.model.border_slope[:, None, None, None]
-    return _Explained(residual, share, weights, limit, gradient)
+    return _Explained(levels, residual, share, weights, limit, gradient)
 
 
 def _solved(profiles: Profiles, explained: _Explained, noise: float, room: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -267,8 +275,9 @@ def _solved(profiles: Profiles, explained: _Explained, noise: float, room: tuple
     return steps, covariances
 
 
-def _judged(weights: NDArray[np.float32], explained: _Explained, noise: float) -> tuple[Array, Array, Array]:
+def _judged(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Array, Array, Array]:
     """Return the misfit as a displacement, the seen share of the outline, the variance over the noise's; each (B,)."""
+    weights = profiles.weights
     size = over_offsets(weights)
     squares = over_offsets(weights * explained.residual**2)
     steepness = over_offsets(weights * explained.gradient**2)
@@ -276,8 +285,32 @@ def _judged(weights: NDArray[np.float32], explained: _Explained, noise: float) -
     usual = np.sort(np.concatenate([*steepness], axis=1))[:, middle - 1 : middle + 1].mean(axis=1, keepdims=True)
     unexplained = np.maximum(squares - size * noise**2, 0.0)
     displaced2 = unexplained / np.maximum(np.maximum(steepness, _FAINT_SHARE * usual), _TINY)
+    displaced2[_in_shadow(profiles, explained.levels, noise)] = _LOST_PX**2
     total = np.maximum(size.sum(axis=(0, 2)), _TINY)
     rms_px = np.sqrt((size * np.minimum(displaced2, _LOST_PX**2)).sum(axis=(0, 2)) / total)
     seen = np.sqrt(of_stretches(steepness)) > _SEEN_SIGMA * noise
     excess = np.maximum(1.0, explained.energy(weights) / (total * noise**2))
     return rms_px, seen.mean(axis=2).min(axis=0), excess
+
+
+def _in_shadow(profiles: Profiles, levels: Array, noise: float) -> NDArray[np.bool_]:
+    """Return at which samples, shape (2, B, N), a figure takes a shadow on the table for part of the face.
+
+    There a shadow is expected beside the face, and what lies within the border is unlike the rest of the face and as
+    dark as that.
+    """
+    if profiles.shade is None:
+        return np.zeros(profiles.weights.shape[1:], dtype=np.bool_)
+    samples = profiles.weights.shape[-1] // GROUPS
+    outside = over_offsets(profiles.model.shares[1, :, None, None, None] - profiles.shares[0] - profiles.shares[1])
+    expected = of_stretches(outside) > _LEAST_SHADOW_PX * samples
+    face, behind, _, beside = levels
+    least = _ROBUST_SIGMA * noise
+    unlike_face = np.abs(face - np.median(face, axis=-1, keepdims=True))
+    # at the outer edge of a shadow what is taken for the next one is lit, within it only what lies behind
+    in_shadow = np.zeros(expected.shape, dtype=np.bool_)
+    for lit in (beside, behind):
+        contrast = (1.0 - profiles.shade) * lit
+        like_shadow = np.abs(face - profiles.shade * lit) < np.maximum(least, _LIKE_SHADOW * contrast)
+        in_shadow |= like_shadow & (unlike_face > np.maximum(least, _UNLIKE_FACE * contrast))
+    return np.asarray((expected & in_shadow).repeat(samples, axis=-1))

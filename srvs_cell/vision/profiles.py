@@ -8,7 +8,7 @@ lamp stands, so that a sliver of a pixel is told from the face itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -132,6 +132,17 @@ class Profiles:
     slopes: NDArray[np.float32]
     shade: float | None
     by_parameter: Array
+
+    def only(self, kept: NDArray[np.intp]) -> Profiles:
+        """Return some of the faces by their numbers."""
+        return replace(
+            self,
+            grey=self.grey[:, :, kept],
+            weights=self.weights[:, :, kept],
+            shares=self.shares[:, :, :, kept],
+            slopes=self.slopes[:, :, :, kept],
+            by_parameter=self.by_parameter[:, kept],
+        )
 
 
 def read_profiles(

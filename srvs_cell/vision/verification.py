@@ -15,7 +15,7 @@ import numpy as np
 from srvs_cell.vision.face_sources import Sources
 from srvs_cell.vision.faces import Figure, same_place
 from srvs_cell.vision.joined_faces import joined_faces
-from srvs_cell.vision.lamp import likely_lamps
+from srvs_cell.vision.lamp import find_lamps
 from srvs_cell.vision.profile_fit import measure_blur, measure_lamp
 from srvs_cell.vision.profiles import Pictures
 from srvs_cell.vision.relief import risen, rising_outlines
@@ -55,6 +55,8 @@ _FOR_BLUR = 3
 """So many well known faces tell the blur of the picture."""
 _FOR_LAMP = 6
 """So many faces that are known well enough tell where the lamp stands."""
+_TELLING_RMS_PX = 0.7
+"""Where the edges told no lamp faces that fit like this may, with shadows beside them that nothing explained."""
 _SAME_MM = 4.0
 """A face made of two halves comes to rest within this of where they put it."""
 _WHOLE = 0.87
@@ -79,7 +81,26 @@ def verify_tops(
         left image, each of shape (N, 2).
     """
     rig, table_z_mm = evidence.rig, evidence.table_z_mm
-    bench = _bench_for(tops, evidence)
+    bench = _bench_for(tops, evidence, _TRUSTED_RMS_PX)
+    known = _known_tops(tops, planes, relief, evidence, bench)
+    if bench.pictures.lamp is None:
+        lit = _bench_for(known, evidence, _TELLING_RMS_PX)
+        if lit.pictures.lamp is not None:
+            known = _known_tops(tops, planes, relief, evidence, lit)
+    rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
+    standing = [
+        top
+        for top, pixels in zip(known, rising_px, strict=True)
+        if pixels >= _SEAM_PX * _outline_px(top.fit.face, rig) and not _is_cut_off(top.fit, evidence)
+    ]
+    unseen = rising_outlines(relief, explained_polygons(standing, rig, table_z_mm), _UNSEEN_PX)
+    return standing, unseen
+
+
+def _known_tops(
+    tops: list[Top], planes: Sequence[Region], relief: Relief, evidence: Evidence, bench: Bench
+) -> list[Top]:
+    """Return tops fitted to the grey values, with those that explain what else rises, the surest first."""
     seen = [
         (top, both)
         for top, both in zip(tops, bench.by_profiles([top.fit for top in tops]), strict=True)
@@ -100,15 +121,7 @@ def verify_tops(
         if added:
             known += added
             outlines = _unexplained(known, relief, evidence)
-    known = sorted(_in_one_light(best_per_place(known), bench), key=lambda top: top.fit.rms_px)
-    rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
-    standing = [
-        top
-        for top, pixels in zip(known, rising_px, strict=True)
-        if pixels >= _SEAM_PX * _outline_px(top.fit.face, rig) and not _is_cut_off(top.fit, evidence)
-    ]
-    unseen = rising_outlines(relief, explained_polygons(standing, rig, table_z_mm), _UNSEEN_PX)
-    return standing, unseen
+    return sorted(_in_one_light(best_per_place(known), bench), key=lambda top: top.fit.rms_px)
 
 
 def _unexplained(known: list[Top], relief: Relief, evidence: Evidence) -> list[Array]:
@@ -117,14 +130,18 @@ def _unexplained(known: list[Top], relief: Relief, evidence: Evidence) -> list[A
     return rising_outlines(relief, explained_polygons(trusted, evidence.rig, evidence.table_z_mm))
 
 
-def _bench_for(tops: list[Top], evidence: Evidence) -> Bench:
-    """Return what faces are fitted to; the surest tops tell the lamp and how blurred the pictures are."""
+def _bench_for(tops: list[Top], evidence: Evidence, telling_rms_px: float) -> Bench:
+    """Return what faces are fitted to; the surest tops tell the lamp and how blurred the pictures are.
+
+    ``telling_rms_px``: what fits worse does not tell the lamp.
+    """
     rig, table_z_mm, limits = evidence.rig, evidence.table_z_mm, evidence.limits
-    surest = sorted((top.fit for top in tops if top.fit.rms_px < _TRUSTED_RMS_PX), key=lambda fit: fit.rms_px)
+    surest = sorted((top.fit for top in tops if top.fit.rms_px < telling_rms_px), key=lambda fit: fit.rms_px)
     known = [fit.face for fit in surest[:_FOR_LAMP]]
     pictures = Pictures.of(evidence.left.grey, evidence.right.grey)
-    lamps = likely_lamps(known, evidence.fields[0], evidence.left.grey, rig, table_z_mm)
-    pictures = replace(pictures, lamp=measure_lamp(lamps, known, pictures, rig, table_z_mm))
+    found = find_lamps(known, evidence.fields[0], evidence.left.grey, rig, table_z_mm)
+    lamp = found.certain or measure_lamp(found.likely, known, pictures, rig, table_z_mm)
+    pictures = replace(pictures, lamp=lamp)
     certain = [fit.face for fit in surest[:_FOR_BLUR] if fit.rms_px < CERTAIN_RMS_PX]
     return Bench(
         replace(pictures, blur_px=measure_blur(certain, pictures, rig, table_z_mm)),

@@ -280,13 +280,16 @@ class Bench:
             changed = self._improve(best, changed)
         return best
 
+    def _others(self, face: Face) -> list[Face]:
+        return other_rectangles(face, self.fields[0], self.rig, self.table_z_mm, self.min_gradient)
+
     def _improve(self, best: list[Witnesses], numbers: set[int]) -> set[int]:
         """Replace some faces that another rectangle suits better; returns which it replaced."""
         others = [
             (number, face)
             for number in sorted(numbers)
             if best[number].misfit_px2 > _DOUBTFUL_PX2
-            for face in other_rectangles(best[number].agreed().face, self.fields[0], self.rig, self.min_gradient)
+            for face in self._others(best[number].agreed().face)
         ]
         fitted = self.by_edges([face for _, face in others])
         there = [

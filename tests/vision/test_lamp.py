@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from srvs_cell.vision.face_fit import EdgeField
-from srvs_cell.vision.lamp import likely_lamps
+from srvs_cell.vision.lamp import FoundLamps, find_lamps
 from srvs_cell.vision.profile_fit import measure_lamp
 from srvs_cell.vision.profiles import Pictures
 from tests.vision.painted import SHADOW_GREY, TABLE_GREY, TABLE_Z_MM, Part, cuboid, cylinder, paint, prism, rig, wedge
@@ -26,13 +26,19 @@ PARTS = [
 LAMPS_MM = [(900.0, 350.0, 1300.0), (480.0, -550.0, 1500.0), (100.0, 90.0, 2500.0), (640.0, 160.0, 900.0)]
 
 
+def look_for(
+    parts: list[Part], known: list[Part], lamp_mm: tuple[float, float, float] | None, seed: int = 0
+) -> tuple[FoundLamps, Pictures]:
+    left, right = paint(parts, rig(), noise=1.5, seed=seed, lamp_mm=lamp_mm)
+    found = find_lamps([part.face for part in known], EdgeField.of(left), left, rig(), TABLE_Z_MM)
+    return found, Pictures.of(left, right)
+
+
 def find(
     parts: list[Part], known: list[Part], lamp_mm: tuple[float, float, float] | None, seed: int = 0
 ) -> Lamp | None:
-    left, right = paint(parts, rig(), noise=1.5, seed=seed, lamp_mm=lamp_mm)
-    faces = [part.face for part in known]
-    lamps = likely_lamps(faces, EdgeField.of(left), left, rig(), TABLE_Z_MM)
-    return measure_lamp(lamps, faces, Pictures.of(left, right), rig(), TABLE_Z_MM)
+    found, pictures = look_for(parts, known, lamp_mm, seed)
+    return found.certain or measure_lamp(found.likely, [part.face for part in known], pictures, rig(), TABLE_Z_MM)
 
 
 def errors_mm(lamp: Lamp, lamp_mm: tuple[float, float, float], parts: list[Part]) -> list[float]:
@@ -76,6 +82,27 @@ def test_shadows_of_parts_that_are_not_known_tell_nothing() -> None:
     elsewhere = [replace(part, face=replace(part.face, x_mm=part.face.x_mm + 30.0)) for part in PARTS]
     assert find(PARTS, elsewhere, LAMPS_MM[0]) is None
     assert find(PARTS, [], LAMPS_MM[0]) is None
+
+
+@pytest.mark.parametrize("lamp_mm", LAMPS_MM)
+def test_where_all_shadows_meet_an_edge_the_lamp_is_certain(lamp_mm: tuple[float, float, float]) -> None:
+    found, _ = look_for(PARTS[:3], PARTS[:3], lamp_mm)
+    assert found.certain is not None
+    assert found.likely == ()
+    assert max(errors_mm(found.certain, lamp_mm, PARTS[:3])) < 0.3
+
+
+def test_where_shadows_of_faces_meet_nothing_no_lamp_is_certain() -> None:
+    larger = replace(PARTS[0], face=replace(PARTS[0].face, length_mm=80.0, width_mm=60.0))
+    found, _ = look_for(PARTS, [larger, *PARTS[1:]], LAMPS_MM[0])
+    assert found.certain is None
+    assert len(found.likely) >= 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_lamp_is_certain_where_nothing_throws_a_shadow(seed: int) -> None:
+    found, _ = look_for(PARTS, PARTS, None, seed)
+    assert found.certain is None
 
 
 def test_a_lamp_that_explains_less_than_none_is_not_taken() -> None:

@@ -61,7 +61,7 @@ def test_a_side_that_was_moved_comes_back(axis: int, end: float) -> None:
     wrong = replace(true, x_mm=float(x_mm), y_mm=float(y_mm))
     shorter = size_mm - shift_mm
     wrong = replace(wrong, length_mm=shorter) if axis == 0 else replace(wrong, width_mm=shorter)
-    others = other_rectangles(wrong, fields_of([BOX])[0], RIG, MIN_GRADIENT)
+    others = other_rectangles(wrong, fields_of([BOX])[0], RIG, TABLE_Z_MM, MIN_GRADIENT)
     distances = [abs(other.length_mm - true.length_mm) + abs(other.width_mm - true.width_mm) for other in others]
     best = others[int(np.argmin(distances))]
     # half a pixel is a quarter of a millimetre here
@@ -72,15 +72,38 @@ def test_a_side_that_was_moved_comes_back(axis: int, end: float) -> None:
 def test_an_inclined_face_stays_in_its_plane() -> None:
     part = wedge(500.0, 60.0, 10.0, 40.0, 30.0, (60.0, 40.0), 190)
     wrong = replace(part.face, length_mm=50.0)
-    for other in other_rectangles(wrong, fields_of([part])[0], RIG, MIN_GRADIENT):
+    for other in other_rectangles(wrong, fields_of([part])[0], RIG, TABLE_Z_MM, MIN_GRADIENT):
         ahead = np.array([other.x_mm - wrong.x_mm, other.y_mm - wrong.y_mm])
         along = ahead @ np.array([np.cos(wrong.angle_rad), np.sin(wrong.angle_rad)])
         assert other.z_mm - wrong.z_mm == pytest.approx(wrong.slope_u * along, abs=1e-6)
 
 
+@pytest.mark.parametrize("falling", [1.0, -1.0])
+def test_a_wedge_that_ends_over_the_table_may_go_down_to_it(falling: float) -> None:
+    true = wedge(500.0, 60.0, 0.0, 30.0, 30.0, (60.0, 40.0), 190).face
+    true = replace(true, slope_u=falling * true.slope_u)
+    half = true.place(np.array([[falling * 0.25, 0.0]]))[0]
+    x_mm, y_mm, z_mm = (float(value) for value in half)
+    short = replace(true, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm, length_mm=45.0)
+    # nothing is to be seen there
+    others = other_rectangles(short, fields_of([])[0], RIG, TABLE_Z_MM, MIN_GRADIENT)
+    whole = [other for other in others if other.slope_u != 0.0]
+    assert len(whole) == 1
+    assert (whole[0].x_mm, whole[0].y_mm, whole[0].z_mm) == pytest.approx((true.x_mm, true.y_mm, true.z_mm))
+    assert (whole[0].length_mm, whole[0].width_mm) == pytest.approx((60.0, 40.0))
+
+
+def test_a_wedge_that_ends_at_the_table_or_far_over_it_is_left_so() -> None:
+    at_the_table = wedge(500.0, 60.0, 2.0, 30.0, 30.0, (60.0, 40.0), 190)
+    on_a_block = wedge(500.0, 60.0, 40.0, 60.0, 30.0, (30.0, 40.0), 190)
+    for part in (at_the_table, on_a_block):
+        others = other_rectangles(part.face, fields_of([])[0], RIG, TABLE_Z_MM, MIN_GRADIENT)
+        assert [other for other in others if other.slope_u != 0.0] == []
+
+
 def test_circles_have_no_other_sides() -> None:
     part = cylinder(500.0, 50.0, 40.0, 50.0, 200)
-    assert other_rectangles(part.face, fields_of([part])[0], RIG, MIN_GRADIENT) == []
+    assert other_rectangles(part.face, fields_of([part])[0], RIG, TABLE_Z_MM, MIN_GRADIENT) == []
 
 
 def test_a_top_that_took_the_foot_of_its_side_face_for_a_side_is_mended() -> None:

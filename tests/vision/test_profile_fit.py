@@ -109,6 +109,33 @@ def test_a_strip_of_shadow_of_which_nothing_is_known_pulls_it() -> None:
     assert abs(fit.face.z_mm - LOW.face.z_mm) > 1.5
 
 
+@pytest.mark.parametrize("azimuth_deg", [10.0, 100.0, 190.0, 280.0])
+def test_a_shadow_taken_for_part_of_the_face_is_held_against_a_figure(azimuth_deg: float) -> None:
+    # straight across one of its sides, so that the shadow beside it is as wide all along
+    pictures, lamp = with_shadow(azimuth_deg, 0.45)
+    # in both pictures it ends about where the shadow does at a height between the table's and the face's
+    grown = replace(LOW.face, z_mm=12.0)
+    turn = np.deg2rad(azimuth_deg + 180.0) - grown.angle_rad
+    strip_mm = 6.5
+    away = np.array([[np.cos(turn) / grown.length_mm, np.sin(turn) / grown.width_mm]]) * strip_mm
+    x_mm, y_mm, z_mm = (float(value) for value in grown.place(away)[0])
+    grown = replace(grown, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
+    if abs(np.cos(turn)) > 0.5:
+        grown = replace(grown, length_mm=grown.length_mm + strip_mm)
+    else:
+        grown = replace(grown, width_mm=grown.width_mm + strip_mm)
+    effort = replace(SETTLE, widths=(1.0,))
+    unaware, lit = (
+        fit_profiles([LOW.face, grown], [False, False], replace(pictures, lamp=one), rig(), TABLE_Z_MM, effort)
+        for one in (None, lamp)
+    )
+    assert unaware[1] is not None
+    assert lit[0] is not None
+    assert lit[1] is not None
+    assert lit[0].rms_px < 0.1
+    assert lit[1].rms_px > unaware[1].rms_px + 0.3
+
+
 def test_a_good_fit_is_told_from_a_bad_one() -> None:
     pictures = pictures_of([BOX], noise=1.0)
     elsewhere = replace(BOX.face, x_mm=BOX.face.x_mm - 80.0)
