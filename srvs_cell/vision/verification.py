@@ -83,10 +83,6 @@ def verify_tops(
     rig, table_z_mm = evidence.rig, evidence.table_z_mm
     bench = _bench_for(tops, evidence, _TRUSTED_RMS_PX)
     known = _known_tops(tops, planes, relief, evidence, bench)
-    if bench.pictures.lamp is None:
-        lit = _bench_for(known, evidence, _TELLING_RMS_PX)
-        if lit.pictures.lamp is not None:
-            known = _known_tops(tops, planes, relief, evidence, lit)
     rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
     standing = [
         top
@@ -100,7 +96,10 @@ def verify_tops(
 def _known_tops(
     tops: list[Top], planes: Sequence[Region], relief: Relief, evidence: Evidence, bench: Bench
 ) -> list[Top]:
-    """Return tops fitted to the grey values, with those that explain what else rises, the surest first."""
+    """Return tops fitted to the grey values, with those that explain what else rises, the surest first.
+
+    Where the edges told no lamp, and one source's tops do, all is judged anew in its light.
+    """
     seen = [
         (top, both)
         for top, both in zip(tops, bench.by_profiles([top.fit for top in tops]), strict=True)
@@ -120,6 +119,11 @@ def _known_tops(
         tried += [(source, outline) for outline in new]
         if added:
             known += added
+            if bench.pictures.lamp is None:
+                lit = _bench_for(known, evidence, _TELLING_RMS_PX)
+                if lit.pictures.lamp is not None:
+                    # what was judged in the dark took shadows for faces
+                    return _known_tops(tops, planes, relief, evidence, lit)
             outlines = _unexplained(known, relief, evidence)
     return sorted(_in_one_light(best_per_place(known), bench), key=lambda top: top.fit.rms_px)
 
