@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srvs_cell.vision.bordered_faces import bordered_faces
+from srvs_cell.vision.high_sides import high_sided_wedges
 from srvs_cell.vision.ledges import find_ledges, find_lines
+from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
 from srvs_cell.vision.recovery import find_places
 from srvs_cell.vision.rising_faces import different, fit_rising
 from srvs_cell.vision.spanned_faces import spanned_faces
 from srvs_cell.vision.top_faces import fit_tops, is_top
-from srvs_cell.vision.tops import rising_test
+from srvs_cell.vision.tops import TRUSTED_RMS_PX, rising_test
 from srvs_cell.vision.witnesses import CONVINCING_PX2
 
 if TYPE_CHECKING:
@@ -27,8 +29,10 @@ if TYPE_CHECKING:
 
     from srvs_cell.geometry import Array
     from srvs_cell.vision.evidence import Evidence
+    from srvs_cell.vision.face_fit import FaceFit
     from srvs_cell.vision.faces import Face
     from srvs_cell.vision.ledges import Ledges
+    from srvs_cell.vision.profile_fit import Effort
     from srvs_cell.vision.recovery import Region
     from srvs_cell.vision.relief import Relief
     from srvs_cell.vision.tops import Top
@@ -38,6 +42,8 @@ if TYPE_CHECKING:
 
 _LEAST_SUPPORT = 0.55
 """What rises is a witness already: a face that explains it may lack more of its outline than others."""
+_WEDGES = 8
+"""So many wedges of which one side rises are fitted thoroughly."""
 _DOUBTED = 2
 """So many faces that the edges do not confirm are asked what else they may be: one may lie beside a true one."""
 
@@ -89,6 +95,22 @@ class Sources:
         asked = [doubted[number] for number in different([both.by_profiles for both in doubted], _DOUBTED)]
         settled = self._lenient.settled(believed + asked)
         return self._from_ledges(outlines) + [both for both in settled if both.is_believed(max_rms_px)]
+
+    def from_high_sides(self, known: list[Top]) -> list[Witnesses]:
+        """Return wedges of which only the high side rises, where they need no other witness."""
+        trusted = [top for top in known if top.fit.rms_px <= TRUSTED_RMS_PX]
+        scouted = self._wedges(high_sided_wedges(trusted, self.relief, self.evidence), SCOUT)
+        fits = [fit for fit in self._wedges([fit.face for fit in scouted], REACH) if self.bench.possible(fit)]
+        edges = self.bench.by_edges([fit.face for fit in fits])
+        both = self.bench.together([(one, fit) for one, fit in zip(edges, fits, strict=True) if one is not None])
+        return [one for one in self.bench.settled(both) if one.is_inclined and one.misfit_px2 < CONVINCING_PX2]
+
+    def _wedges(self, starts: list[Face], effort: Effort) -> list[FaceFit]:
+        """Return the few different ones that suit the grey values best of what wedges are fitted to."""
+        bench = self.bench
+        fits = fit_profiles(starts, [True] * len(starts), bench.pictures, bench.rig, bench.table_z_mm, effort)
+        there = sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.rms_px)
+        return [there[number] for number in different(there, _WEDGES)]
 
     def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:
         """Return the faces that borders tell over these outlines or earlier ones, those that suit the pictures."""

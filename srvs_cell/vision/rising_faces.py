@@ -73,7 +73,7 @@ def fit_rising(outlines: Iterable[Array], relief: Relief, evidence: Evidence, be
         doubled = [(float(z_mm), without_parallax(outline, rig, float(z_mm), table_z_mm)) for z_mm in levels]
         seeds = [[(z_mm, border) for z_mm, border in doubled if border is not None]]
         seeds += [
-            [(float(z_mm), _laid(piece, rig, float(z_mm))) for z_mm in levels]
+            [(float(z_mm), laid_on(piece, rig, float(z_mm))) for z_mm in levels]
             for piece in face_pieces(bench.pictures.images[0], outline, planes)
         ]
         fits = [fit for fit in _fits_of(seeds, bench) if bench.possible(fit)]
@@ -149,7 +149,7 @@ def _fits_of(seeds: list[list[tuple[float, Array]]], bench: Bench) -> list[FaceF
         face
         for seed in seeds
         for z_mm, border in seed[::_INCLINED_STRIDE]
-        for face in inclined_faces(_rectangle(border, z_mm), _START_SLOPE)
+        for face in inclined_faces(surrounding_rectangle(border, z_mm), _START_SLOPE)
     ]
     starts += [face for seed in seeds for z_mm, border in seed for face in _figures(border, z_mm)]
     promising = _promising(sorted(_fitted(starts, bench, SCOUT), key=_misfit))
@@ -160,7 +160,7 @@ def _fits_of(seeds: list[list[tuple[float, Array]]], bench: Bench) -> list[FaceF
     return fits + _fitted([replace(face, slope_u=0.0) for face in slanted], bench, REACH)
 
 
-def _laid(border_px: Array, rig: RectifiedRig, z_mm: float) -> Array:
+def laid_on(border_px: Array, rig: RectifiedRig, z_mm: float) -> Array:
     """Return an outline of the left image laid on a height, seen from above, shape (N, 2)."""
     x, y = border_px.T
     disparity = np.column_stack([x, y, np.ones_like(x)]) @ rig.plane_disparity(_UP, z_mm)
@@ -199,17 +199,18 @@ def without_parallax(outline: Array, rig: RectifiedRig, z_mm: float, table_z_mm:
     area, shared = cv2.intersectConvexConvex(outline.astype(np.float32), moved)
     if area <= 0.0 or len(shared) < _CORNERS:
         return None
-    return _laid(shared.reshape(-1, 2).astype(np.float64), rig, z_mm)
+    return laid_on(shared.reshape(-1, 2).astype(np.float64), rig, z_mm)
 
 
-def _rectangle(border: Array, z_mm: float) -> Face:
+def surrounding_rectangle(border: Array, z_mm: float) -> Face:
+    """Return the level rectangle of least area around points seen from above, shape (N, 2)."""
     (x_mm, y_mm), (length_mm, width_mm), angle_deg = cv2.minAreaRect(border.astype(np.float32))
     return Face(Figure.RECTANGLE, x_mm, y_mm, z_mm, float(np.deg2rad(angle_deg)), length_mm, width_mm)
 
 
 def _figures(border: Array, z_mm: float) -> list[Face]:
     """Return the level figures that a border may be."""
-    rectangle = _rectangle(border, z_mm)
+    rectangle = surrounding_rectangle(border, z_mm)
     moments = cv2.moments(border.astype(np.float32))
     area = max(moments["m00"], 1.0)
     middle = (moments["m10"] / area, moments["m01"] / area)

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 CERTAIN_RMS_PX = 0.15
 """A figure that fits like this leaves nothing for another one to explain."""
+TRUSTED_RMS_PX = 0.5
+"""A figure that fits worse does not explain what rises at its place, and does not tell the lamp at first."""
 _SHARED_PLACE = 0.4
 """Share of the smaller footprint that measuring errors never let two neighbours share."""
 _SIDE_FACE_MARGIN_MM = 4.0

@@ -22,6 +22,7 @@ from srvs_cell.vision.relief import risen, rising_outlines
 from srvs_cell.vision.top_faces import is_top
 from srvs_cell.vision.tops import (
     CERTAIN_RMS_PX,
+    TRUSTED_RMS_PX,
     Top,
     best_per_place,
     explained_polygons,
@@ -45,8 +46,6 @@ if TYPE_CHECKING:
     from srvs_cell.vision.witnesses import Witnesses
 
 
-_TRUSTED_RMS_PX = 0.5
-"""A figure that fits worse does not explain what rises at its place, and does not tell the lamp."""
 _SEAM_PX = 1.5
 """Where a face stands over the table, its outline leaves at least a seam of this width in the relief."""
 _UNSEEN_PX = 200
@@ -81,7 +80,7 @@ def verify_tops(
         left image, each of shape (N, 2).
     """
     rig, table_z_mm = evidence.rig, evidence.table_z_mm
-    bench = _bench_for(tops, evidence, _TRUSTED_RMS_PX)
+    bench = _bench_for(tops, evidence, TRUSTED_RMS_PX)
     known = _known_tops(tops, planes, relief, evidence, bench)
     rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
     standing = [
@@ -125,12 +124,13 @@ def _known_tops(
                     # what was judged in the dark took shadows for faces
                     return _known_tops(tops, planes, relief, evidence, lit)
             outlines = _unexplained(known, relief, evidence)
+    known += _new_tops(sources.from_high_sides(known), known)
     return sorted(_in_one_light(best_per_place(known), bench), key=lambda top: top.fit.rms_px)
 
 
 def _unexplained(known: list[Top], relief: Relief, evidence: Evidence) -> list[Array]:
     """Return outlines of what rises in the left image and is explained by no well fitted top."""
-    trusted = [top for top in known if top.fit.rms_px <= _TRUSTED_RMS_PX]
+    trusted = [top for top in known if top.fit.rms_px <= TRUSTED_RMS_PX]
     return rising_outlines(relief, explained_polygons(trusted, evidence.rig, evidence.table_z_mm))
 
 
