@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from srvs_cell.vision.face_pieces import plane_hulls
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srvs_cell.geometry import Array
     from srvs_cell.vision.evidence import Evidence
     from srvs_cell.vision.faces import Face
     from srvs_cell.vision.rectification import RectifiedRig
@@ -47,17 +45,16 @@ def high_sided_wedges(known: Sequence[Top], relief: Relief, evidence: Evidence) 
     """Return inclined rectangles over planes of the left image of which one side rises, to begin fits at.
 
     Args:
-        known: tops; planes that they explain, and what rises because of them, tell no other one.
+        known: tops; what rises because of them tells no other one.
         relief: what rises over the table.
         evidence: the images.
     """
     rig, table_z_mm = evidence.rig, evidence.table_z_mm
-    explained = explained_polygons(list(known), rig, table_z_mm)
-    rising = unexplained(relief, explained)
+    rising = unexplained(relief, explained_polygons(list(known), rig, table_z_mm))
     return [
         wedge
         for hull in plane_hulls(evidence.left, rig, table_z_mm, evidence.limits.max_size_mm)
-        if rising_share(rising, hull) >= _LEAST_SHARE and not _holds_middle(explained, hull)
+        if rising_share(rising, hull) >= _LEAST_SHARE
         for wedge in _wedges_over(hull, rising, evidence)
     ]
 
@@ -77,11 +74,6 @@ def _wedges_over(hull: NDArray[np.float32], rising: NDArray[np.uint8], evidence:
                 if gentlest < slope < steepest and _far_side_share(level, rising, evidence.rig) > _SIDE_SHARE:
                     wedges.append(replace(level, slope_u=slope))
     return wedges
-
-
-def _holds_middle(polygons: Sequence[Array], hull: NDArray[np.float32]) -> bool:
-    x, y = (float(value) for value in hull.mean(axis=0))
-    return any(cv2.pointPolygonTest(one.astype(np.float32), (x, y), measureDist=False) >= 0 for one in polygons)
 
 
 def _far_side_share(rectangle: Face, rising: NDArray[np.uint8], rig: RectifiedRig) -> float:

@@ -304,13 +304,10 @@ def _in_shadow(profiles: Profiles, levels: Array, noise: float) -> NDArray[np.bo
     samples = profiles.weights.shape[-1] // GROUPS
     outside = over_offsets(profiles.model.shares[1, :, None, None, None] - profiles.shares[0] - profiles.shares[1])
     expected = of_stretches(outside) > _LEAST_SHADOW_PX * samples
-    face, behind, _, beside = levels
-    least = _ROBUST_SIGMA * noise
-    unlike_face = np.abs(face - np.median(face, axis=-1, keepdims=True))
-    # at the outer edge of a shadow what is taken for the next one is lit, within it only what lies behind
-    in_shadow = np.zeros(expected.shape, dtype=np.bool_)
-    for lit in (beside, behind):
-        contrast = (1.0 - profiles.shade) * lit
-        like_shadow = np.abs(face - profiles.shade * lit) < np.maximum(least, _LIKE_SHADOW * contrast)
-        in_shadow |= like_shadow & (unlike_face > np.maximum(least, _UNLIKE_FACE * contrast))
-    return np.asarray((expected & in_shadow).repeat(samples, axis=-1))
+    # at the outer edge of a shadow what is taken for the next one is the lit table
+    face, _, _, lit = levels
+    contrast, least = (1.0 - profiles.shade) * lit, _ROBUST_SIGMA * noise
+    like_shadow = np.abs(face - profiles.shade * lit) < np.maximum(least, _LIKE_SHADOW * contrast)
+    usual = np.median(face, axis=-1, keepdims=True)
+    unlike_face = np.abs(face - usual) > np.maximum(least, _UNLIKE_FACE * contrast)
+    return np.asarray((expected & like_shadow & unlike_face).repeat(samples, axis=-1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -13,6 +14,9 @@ from srvs_cell.vision.profile_fit import BLURS_PX, REACH, SETTLE, fit_profiles, 
 from srvs_cell.vision.profiles import USUAL_BLUR_PX, Pictures
 from srvs_cell.vision.shadows import Lamp
 from tests.vision.painted import SHADOW_GREY, TABLE_GREY, TABLE_Z_MM, Part, cuboid, paint, rig
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 BOX = cuboid(500.0, 50.0, 50.0, 20.0, (60.0, 40.0), 200)
 
@@ -82,12 +86,12 @@ def test_a_sliver_of_dark_side_face_does_not_pull_the_face(height_mm: float) -> 
 LOW = replace(cuboid(500.0, 20.0, 15.0, 10.0, (60.0, 40.0), 180), side_grey=90)
 
 
-def with_shadow(azimuth_deg: float, lean: float) -> tuple[Pictures, Lamp]:
+def with_shadow(azimuth_deg: float, lean: float, parts: Sequence[Part] = (LOW,)) -> tuple[Pictures, Lamp]:
     """Return pictures of a low part with a strip of shadow beside it, one to four pixels wide, and what throws it."""
     turn, height_mm = np.deg2rad(azimuth_deg), 1200.0
     x, y = lean * np.cos(turn), lean * np.sin(turn)
     place = (500.0 + x * height_mm, 20.0 + y * height_mm, TABLE_Z_MM + height_mm)
-    pictures = Pictures.of(*paint([LOW], rig(), noise=1.0, lamp_mm=place))
+    pictures = Pictures.of(*paint(list(parts), rig(), noise=1.0, lamp_mm=place))
     return pictures, Lamp((500.0, 20.0), (x, y), 1.0 / height_mm, TABLE_Z_MM, SHADOW_GREY / TABLE_GREY)
 
 
@@ -109,31 +113,50 @@ def test_a_strip_of_shadow_of_which_nothing_is_known_pulls_it() -> None:
     assert abs(fit.face.z_mm - LOW.face.z_mm) > 1.5
 
 
+def with_strip(azimuth_deg: float) -> Face:
+    """Return a figure that takes the strip of shadow beside the low part for a part of its face.
+
+    In both pictures it ends about where the shadow does at a height between the table's and the face's.
+    """
+    turn, strip_mm = np.deg2rad(azimuth_deg + 180.0) - LOW.face.angle_rad, 6.5
+    away = np.array([[np.cos(turn) / LOW.face.length_mm, np.sin(turn) / LOW.face.width_mm]]) * strip_mm
+    x_mm, y_mm, _ = (float(value) for value in LOW.face.place(away)[0])
+    grown = replace(LOW.face, x_mm=x_mm, y_mm=y_mm, z_mm=12.0)
+    if abs(np.cos(turn)) > 0.5:
+        return replace(grown, length_mm=grown.length_mm + strip_mm)
+    return replace(grown, width_mm=grown.width_mm + strip_mm)
+
+
+def judged_px(face: Face, pictures: Pictures, lamp: Lamp | None) -> float:
+    """Return the misfit of a face where it is."""
+    effort = replace(SETTLE, widths=(1.0,))
+    (fit,) = fit_profiles([face], [False], replace(pictures, lamp=lamp), rig(), TABLE_Z_MM, effort)
+    assert fit is not None
+    return fit.rms_px
+
+
+# straight across one of its sides, so that the shadow beside it is as wide all along
 @pytest.mark.parametrize("azimuth_deg", [10.0, 100.0, 190.0, 280.0])
 def test_a_shadow_taken_for_part_of_the_face_is_held_against_a_figure(azimuth_deg: float) -> None:
-    # straight across one of its sides, so that the shadow beside it is as wide all along
     pictures, lamp = with_shadow(azimuth_deg, 0.45)
-    # in both pictures it ends about where the shadow does at a height between the table's and the face's
-    grown = replace(LOW.face, z_mm=12.0)
-    turn = np.deg2rad(azimuth_deg + 180.0) - grown.angle_rad
-    strip_mm = 6.5
-    away = np.array([[np.cos(turn) / grown.length_mm, np.sin(turn) / grown.width_mm]]) * strip_mm
-    x_mm, y_mm, z_mm = (float(value) for value in grown.place(away)[0])
-    grown = replace(grown, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
-    if abs(np.cos(turn)) > 0.5:
-        grown = replace(grown, length_mm=grown.length_mm + strip_mm)
-    else:
-        grown = replace(grown, width_mm=grown.width_mm + strip_mm)
-    effort = replace(SETTLE, widths=(1.0,))
-    unaware, lit = (
-        fit_profiles([LOW.face, grown], [False, False], replace(pictures, lamp=one), rig(), TABLE_Z_MM, effort)
-        for one in (None, lamp)
-    )
-    assert unaware[1] is not None
-    assert lit[0] is not None
-    assert lit[1] is not None
-    assert lit[0].rms_px < 0.1
-    assert lit[1].rms_px > unaware[1].rms_px + 0.3
+    assert judged_px(LOW.face, pictures, lamp) < 0.1
+    grown = with_strip(azimuth_deg)
+    assert judged_px(grown, pictures, lamp) > judged_px(grown, pictures, None) + 0.3
+
+
+@pytest.mark.parametrize("azimuth_deg", [10.0, 100.0, 190.0, 280.0])
+def test_a_face_as_dark_as_a_shadow_of_its_shadow_is_not_taken_for_one(azimuth_deg: float) -> None:
+    pictures, lamp = with_shadow(azimuth_deg, 0.45, [replace(LOW, top_grey=SHADOW_GREY**2 // TABLE_GREY)])
+    assert judged_px(LOW.face, pictures, lamp) < 0.15
+
+
+# the light comes from the printed side, or falls on the other
+@pytest.mark.parametrize(("azimuth_deg", "grey"), [(100.0, SHADOW_GREY**2 // TABLE_GREY), (280.0, 120)])
+def test_print_along_a_side_is_not_taken_for_shadow(azimuth_deg: float, grey: int) -> None:
+    x_mm, y_mm, _ = (float(value) for value in LOW.face.place(np.array([[0.0, 0.8]]))[0])
+    printed = replace(LOW, face=replace(LOW.face, x_mm=x_mm, y_mm=y_mm, width_mm=8.0), top_grey=grey)
+    pictures, lamp = with_shadow(azimuth_deg, 0.45, [LOW, printed])
+    assert judged_px(LOW.face, pictures, lamp) < judged_px(LOW.face, pictures, None) + 0.05
 
 
 def test_a_good_fit_is_told_from_a_bad_one() -> None:
