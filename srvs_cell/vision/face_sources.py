@@ -1,8 +1,9 @@
 """Step 11e, beyond the paper: where the top faces may come from that explain what rises, the cheapest source first.
 
 Two straight borders in space span a face to a millimetre, one tells all but how far it reaches; a plane that matching
-left without a partner may be one; and a search for every figure at every height finds what has neither. What a source
-proposes suits edges and grey values; which of the proposals stand is for `verification` to say.
+left without a partner may be one; a search for every figure at every height finds what has neither; and where only one
+side rises a wedge may be high there. What a source proposes suits edges and grey values; which of the proposals stand
+is for `verification` to say.
 """
 
 from __future__ import annotations
