@@ -17,12 +17,12 @@ import numpy as np
 from srvs_cell.vision.bordered_faces import bordered_faces
 from srvs_cell.vision.high_sides import high_sided_wedges
 from srvs_cell.vision.ledges import find_ledges, find_lines
-from srvs_cell.vision.profile_fit import REACH, SCOUT, fit_profiles
+from srvs_cell.vision.profile_fit import REACH, SCOUT
 from srvs_cell.vision.recovery import find_places
-from srvs_cell.vision.rising_faces import different, fit_rising
+from srvs_cell.vision.rising_faces import different, fit_rising, fitted
 from srvs_cell.vision.spanned_faces import spanned_faces
 from srvs_cell.vision.top_faces import fit_tops, is_top
-from srvs_cell.vision.tops import TRUSTED_RMS_PX, rising_test
+from srvs_cell.vision.tops import rising_test, trusted
 from srvs_cell.vision.witnesses import CONVINCING_PX2
 
 if TYPE_CHECKING:
@@ -84,13 +84,8 @@ class Sources:
     def from_search(self, outlines: list[Array], _: list[Top]) -> list[Witnesses]:
         """Return what a search for every figure at every height finds, and all that borders in space tell."""
         rising = fit_rising(outlines, self.relief, self.evidence, self._lenient)
-        there = [
-            (edges, fit)
-            for fit, edges in zip(rising, self.bench.by_edges([fit.face for fit in rising]), strict=True)
-            if edges is not None
-        ]
         max_rms_px = self.evidence.limits.max_rms_px
-        found = sorted(self.bench.together(there), key=lambda both: both.price_px2)
+        found = sorted(self._with_edges(rising), key=lambda both: both.price_px2)
         believed = [both for both in found if both.is_believed(max_rms_px)]
         doubted = [both for both in found if not both.is_believed(max_rms_px)]
         asked = [doubted[number] for number in different([both.by_profiles for both in doubted], _DOUBTED)]
@@ -99,19 +94,21 @@ class Sources:
 
     def from_high_sides(self, known: list[Top]) -> list[Witnesses]:
         """Return wedges of which only the high side rises, where they need no other witness."""
-        trusted = [top for top in known if top.fit.rms_px <= TRUSTED_RMS_PX]
-        scouted = self._wedges(high_sided_wedges(trusted, self.relief, self.evidence), SCOUT)
-        fits = [fit for fit in self._wedges([fit.face for fit in scouted], REACH) if self.bench.possible(fit)]
-        edges = self.bench.by_edges([fit.face for fit in fits])
-        both = self.bench.together([(one, fit) for one, fit in zip(edges, fits, strict=True) if one is not None])
-        return [one for one in self.bench.settled(both) if one.is_inclined and one.misfit_px2 < CONVINCING_PX2]
+        starts = high_sided_wedges(trusted(known), self.relief, self.evidence)
+        scouted = self._best_wedges(starts, SCOUT)
+        fits = self._best_wedges([fit.face for fit in scouted], REACH)
+        settled = self.bench.settled(self._with_edges([fit for fit in fits if self.bench.possible(fit)]))
+        return [both for both in settled if both.is_inclined and both.misfit_px2 < CONVINCING_PX2]
 
-    def _wedges(self, starts: list[Face], effort: Effort) -> list[FaceFit]:
-        """Return the few different ones that suit the grey values best of what wedges are fitted to."""
-        bench = self.bench
-        fits = fit_profiles(starts, [True] * len(starts), bench.pictures, bench.rig, bench.table_z_mm, effort)
-        there = sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.rms_px)
-        return [there[number] for number in different(there, _WEDGES)]
+    def _best_wedges(self, starts: list[Face], effort: Effort) -> list[FaceFit]:
+        """Return the few different fits that suit the grey values best."""
+        fits = sorted(fitted(starts, self.bench, effort), key=lambda fit: fit.rms_px)
+        return [fits[number] for number in different(fits, _WEDGES)]
+
+    def _with_edges(self, fits: list[FaceFit]) -> list[Witnesses]:
+        """Return faces that were fitted to the grey values as both witnesses see them, those that have edges."""
+        edges = self.bench.by_edges([fit.face for fit in fits])
+        return self.bench.together([(one, fit) for one, fit in zip(edges, fits, strict=True) if one is not None])
 
     def _from_ledges(self, outlines: list[Array]) -> list[Witnesses]:
         """Return the faces that borders tell over these outlines or earlier ones, those that suit the pictures."""

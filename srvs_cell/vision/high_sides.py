@@ -1,4 +1,4 @@
-"""Step 11e, beyond the paper: wedges of which only the high side rises.
+"""Step 11d, beyond the paper: wedges of which only the high side rises.
 
 Where a wedge is low its border falls almost on itself when the right image is laid over the left one by the table. What
 rises is one strip, the border of its high side, and encloses no face. The plane beside the strip has the face's own

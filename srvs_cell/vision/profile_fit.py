@@ -296,8 +296,8 @@ def _judged(profiles: Profiles, explained: _Explained, noise: float) -> tuple[Ar
 def _in_shadow(profiles: Profiles, levels: Array, noise: float) -> NDArray[np.bool_]:
     """Return at which samples, shape (2, B, N), a figure takes a shadow on the table for part of the face.
 
-    There a shadow is expected beside the face, and what lies within the border is unlike the rest of the face and as
-    dark as that.
+    There a shadow is expected beside the face, and what lies within the border is unlike the rest of the face, and as
+    dark as a shadow on what lies beside it.
     """
     if profiles.shade is None:
         return np.zeros(profiles.weights.shape[1:], dtype=np.bool_)

@@ -123,7 +123,7 @@ def _better_inclined(level: FaceFit | None, inclined: FaceFit | None, bench: Ben
     candidates = [] if inclined is None else [inclined]
     if level is not None and level.face.figure is Figure.RECTANGLE:
         tilted = inclined_faces(level.face, _GENTLE_SLOPE)
-        candidates += [fit for fit in _fitted(tilted, bench, REACH) if bench.possible(fit)]
+        candidates += [fit for fit in fitted(tilted, bench, REACH) if bench.possible(fit)]
     steepest = min((fit for fit in candidates if _is_inclined(fit)), key=_misfit, default=None)
     if level is None or steepest is None:
         return level or steepest
@@ -152,12 +152,12 @@ def _fits_of(seeds: list[list[tuple[float, Array]]], bench: Bench) -> list[FaceF
         for face in inclined_faces(surrounding_rectangle(border, z_mm), _START_SLOPE)
     ]
     starts += [face for seed in seeds for z_mm, border in seed for face in _figures(border, z_mm)]
-    promising = _promising(sorted(_fitted(starts, bench, SCOUT), key=_misfit))
-    fits = _fitted([face for alike in promising for face in alike[:_BEST_OF_KIND]], bench, REACH)
+    promising = _promising(sorted(fitted(starts, bench, SCOUT), key=_misfit))
+    fits = fitted([face for alike in promising for face in alike[:_BEST_OF_KIND]], bench, REACH)
     if min((_misfit(fit) for fit in fits if bench.possible(fit)), default=np.inf) > _UNEXPLAINED_PX2:
-        fits += _fitted([face for alike in promising for face in alike[_BEST_OF_KIND:]], bench, REACH)
+        fits += fitted([face for alike in promising for face in alike[_BEST_OF_KIND:]], bench, REACH)
     slanted = [fit.face for fit in fits if fit.face.slope_u != 0.0 and not _is_inclined(fit)]
-    return fits + _fitted([replace(face, slope_u=0.0) for face in slanted], bench, REACH)
+    return fits + fitted([replace(face, slope_u=0.0) for face in slanted], bench, REACH)
 
 
 def laid_on(border_px: Array, rig: RectifiedRig, z_mm: float) -> Array:
@@ -178,7 +178,8 @@ def _promising(scouted: list[FaceFit]) -> list[list[Face]]:
     return list(kept.values())
 
 
-def _fitted(starts: Sequence[Face], bench: Bench, effort: Effort) -> list[FaceFit]:
+def fitted(starts: Sequence[Face], bench: Bench, effort: Effort) -> list[FaceFit]:
+    """Return the fits to the grey values that starts lead to, the slope free where a start is inclined."""
     inclined = [start.slope_u != 0.0 for start in starts]
     fits = fit_profiles(starts, inclined, bench.pictures, bench.rig, bench.table_z_mm, effort)
     return [fit for fit in fits if fit is not None]

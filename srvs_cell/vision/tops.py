@@ -209,6 +209,11 @@ def _pictures(points_mm: Array, rig: RectifiedRig) -> tuple[NDArray[np.float32],
     return np.column_stack([x, y]).astype(np.float32), np.column_stack([x - disparity, y]).astype(np.float32)
 
 
+def trusted(tops: Sequence[Top]) -> list[Top]:
+    """Return the tops that fit so well that they explain what rises at their places."""
+    return [top for top in tops if top.fit.rms_px <= TRUSTED_RMS_PX]
+
+
 def explained_polygons(tops: list[Top], rig: RectifiedRig, table_z_mm: float) -> list[Array]:
     """Return what known parts and their pictures in the right image, laid over by the table, cover in the left one."""
     table = np.array(rig.plane_disparity(_UP, table_z_mm))

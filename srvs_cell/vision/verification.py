@@ -29,6 +29,7 @@ from srvs_cell.vision.tops import (
     is_better,
     is_print,
     share_place,
+    trusted,
 )
 from srvs_cell.vision.witnesses import CONVINCING_PX2, Bench
 
@@ -130,8 +131,7 @@ def _known_tops(
 
 def _unexplained(known: list[Top], relief: Relief, evidence: Evidence) -> list[Array]:
     """Return outlines of what rises in the left image and is explained by no well fitted top."""
-    trusted = [top for top in known if top.fit.rms_px <= TRUSTED_RMS_PX]
-    return rising_outlines(relief, explained_polygons(trusted, evidence.rig, evidence.table_z_mm))
+    return rising_outlines(relief, explained_polygons(trusted(known), evidence.rig, evidence.table_z_mm))
 
 
 def _bench_for(tops: list[Top], evidence: Evidence, telling_rms_px: float) -> Bench:
