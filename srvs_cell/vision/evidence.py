@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from srvs_cell.vision.face_fit import EdgeField
+from srvs_cell.vision.ledges import find_ledges, find_lines
 
 if TYPE_CHECKING:
     from srvs_cell.scene import PlaneImage
+    from srvs_cell.vision.ledges import Ledges
     from srvs_cell.vision.recognition import RecognitionParameters
     from srvs_cell.vision.rectification import RectifiedRig
 
@@ -39,3 +42,9 @@ class Evidence:
     ) -> Evidence:
         """Take the gradients of the images."""
         return cls(left, right, (EdgeField.of(left.grey), EdgeField.of(right.grey)), rig, table_z_mm, limits)
+
+    @cached_property
+    def ledges(self) -> Ledges:
+        """Straight borders in space; sought when they are asked for."""
+        lines = (find_lines(self.left.grey), find_lines(self.right.grey))
+        return find_ledges(lines, self.rig, self.table_z_mm, self.limits.max_height_mm)

@@ -16,7 +16,6 @@ import numpy as np
 
 from srvs_cell.vision.bordered_faces import bordered_faces
 from srvs_cell.vision.high_sides import high_sided_wedges
-from srvs_cell.vision.ledges import find_ledges, find_lines
 from srvs_cell.vision.profile_fit import REACH, SCOUT
 from srvs_cell.vision.recovery import find_places
 from srvs_cell.vision.rising_faces import different, fit_rising, fitted
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from srvs_cell.vision.evidence import Evidence
     from srvs_cell.vision.face_fit import FaceFit
     from srvs_cell.vision.faces import Face
-    from srvs_cell.vision.ledges import Ledges
     from srvs_cell.vision.profile_fit import Effort
     from srvs_cell.vision.recovery import Region
     from srvs_cell.vision.relief import Relief
@@ -115,8 +113,8 @@ class Sources:
         fresh = [one for one in outlines if not any(np.array_equal(one, other) for other in self._outlines)]
         self._outlines.extend(fresh)
         rig, table_z_mm = self.bench.rig, self.bench.table_z_mm
-        new = spanned_faces(self._ledges, fresh, rig, self._told)
-        new += bordered_faces(self._ledges, fresh, rig, table_z_mm, [*self._told, *new])
+        new = spanned_faces(self.evidence.ledges, fresh, rig, self._told)
+        new += bordered_faces(self.evidence.ledges, fresh, rig, table_z_mm, [*self._told, *new])
         self._told.extend(new)
         found = self._lenient.from_lines(new, self.evidence.limits.max_rms_px)
         kept = different([both.by_profiles for both in found])
@@ -128,9 +126,3 @@ class Sources:
         """What faces are fitted to that may lack more of their outline."""
         limits, table_z_mm = replace(self.evidence.limits, min_support=_LEAST_SUPPORT), self.evidence.table_z_mm
         return replace(self.bench, possible=lambda fit: is_top(fit, table_z_mm, limits))
-
-    @cached_property
-    def _ledges(self) -> Ledges:
-        evidence = self.evidence
-        lines = (find_lines(evidence.left.grey), find_lines(evidence.right.grey))
-        return find_ledges(lines, evidence.rig, evidence.table_z_mm, evidence.limits.max_height_mm)

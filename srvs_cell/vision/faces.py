@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 if TYPE_CHECKING:
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 
 HEXAGON_RATIO = float(np.cos(np.pi / 6.0))
 """Across flats over across corners."""
+_SHARED_PLACE = 0.4
+"""Share of the smaller footprint that measuring errors never let two neighbours share."""
 _CIRCLE_CORNERS = 24
 _HEXAGON_CORNERS = 6
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -129,6 +132,13 @@ def same_place(face: Face, other: Face, tolerance_mm: float) -> bool:
     place = np.array([face.x_mm - other.x_mm, face.y_mm - other.y_mm, face.z_mm - other.z_mm])
     sizes, others = (sorted((one.length_mm, one.width_mm)) for one in (face, other))
     return bool(max(np.linalg.norm(place), *np.abs(np.subtract(sizes, others))) <= tolerance_mm)
+
+
+def share_place(face: Face, other: Face) -> bool:
+    """Whether two faces stand over one place, so that they cannot both be right."""
+    outline, standing = (one.corners_mm()[:, :2].astype(np.float32) for one in (face, other))
+    shared_mm2, _ = cv2.intersectConvexConvex(outline, standing)
+    return bool(shared_mm2 > _SHARED_PLACE * min(cv2.contourArea(outline), cv2.contourArea(standing)))
 
 
 def inclined_faces(rectangle: Face, slope: float) -> list[Face]:

@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from srvs_cell.vision.relief import Relief
     from srvs_cell.vision.witnesses import Bench
 
-_HEIGHTS = 5
+_HEIGHTS = 4
 """Besides the one that what rises tells."""
 _INCLINED_STRIDE = 2
 """Inclined faces reach over more heights than level ones: every second one is enough for them."""
-_BEST_OF_KIND = 8
-_NEXT_OF_KIND = 16
+_BEST_OF_KIND = 5
+_NEXT_OF_KIND = 12
 """So many more are fitted where the best leave much unexplained."""
 _UNEXPLAINED_PX2 = 0.4
 """Misfit of a face that leaves much: a third of its outline is not seen, or lies half a pixel off."""
@@ -43,7 +43,6 @@ _ABSENT_PX = 1.0
 """So far off is a border that is not there."""
 _START_SLOPE = 0.36
 _LEAST_INCLINATION_DEG = 5.0
-_GENTLE_SLOPE = 0.2
 _CORNERS = 3
 _CANDIDATES = 8
 _SAME_MM = 4.0
@@ -79,7 +78,7 @@ def fit_rising(outlines: Iterable[Array], relief: Relief, evidence: Evidence, be
         fits = [fit for fit in _fits_of(seeds, bench) if bench.possible(fit)]
         level = min((fit for fit in fits if fit.face.slope_u == 0.0), key=_misfit, default=None)
         inclined = min((fit for fit in fits if _is_inclined(fit)), key=_misfit, default=None)
-        best = _better_inclined(level, inclined, bench)
+        best = _better(level, inclined)
         if best is not None:
             ranked = [best, *sorted(fits, key=_misfit)]
             found += [ranked[number] for number in different(ranked, _CANDIDATES)]
@@ -112,23 +111,12 @@ def different(fits: Sequence[FaceFit], most: int | None = None) -> list[int]:
     return kept
 
 
-def _better_inclined(level: FaceFit | None, inclined: FaceFit | None, bench: Bench) -> FaceFit | None:
-    """Return the level fit, or an inclined one that explains the picture clearly better.
-
-    Args:
-        level: the best level fit.
-        inclined: the best inclined one so far; a level rectangle is tilted along each of its sides besides.
-        bench: what faces are fitted to.
-    """
-    candidates = [] if inclined is None else [inclined]
-    if level is not None and level.face.figure is Figure.RECTANGLE:
-        tilted = inclined_faces(level.face, _GENTLE_SLOPE)
-        candidates += [fit for fit in fitted(tilted, bench, REACH) if bench.possible(fit)]
-    steepest = min((fit for fit in candidates if _is_inclined(fit)), key=_misfit, default=None)
-    if level is None or steepest is None:
-        return level or steepest
-    gain = _STEEP_GAIN if steepest.face.inclination_deg >= _STEEP_DEG else _INCLINED_GAIN
-    return steepest if steepest.rms_px < gain * level.rms_px else level
+def _better(level: FaceFit | None, inclined: FaceFit | None) -> FaceFit | None:
+    """Return the level fit, or the inclined one if it explains the picture clearly better."""
+    if level is None or inclined is None:
+        return level or inclined
+    gain = _STEEP_GAIN if inclined.face.inclination_deg >= _STEEP_DEG else _INCLINED_GAIN
+    return inclined if inclined.rms_px < gain * level.rms_px else level
 
 
 def _misfit(fit: FaceFit) -> float:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from srvs_cell.vision.faces import share_place
 from srvs_cell.vision.recovery import NO_PLANE
 from srvs_cell.vision.relief import rising_share, unexplained
 from srvs_cell.vision.top_faces import SURE_RMS_PX, fit_tops, height_above_mm, tilt_deg
@@ -33,8 +34,6 @@ CERTAIN_RMS_PX = 0.15
 """A figure that fits like this leaves nothing for another one to explain."""
 TRUSTED_RMS_PX = 0.5
 """A figure that fits worse does not explain what rises at its place, and does not tell the lamp at first."""
-_SHARED_PLACE = 0.4
-"""Share of the smaller footprint that measuring errors never let two neighbours share."""
 _SIDE_FACE_MARGIN_MM = 4.0
 _SILHOUETTE_MARGIN_PX = 4.0
 _COLUMN_SHARE = 0.5
@@ -101,7 +100,7 @@ def _per_place(tops: list[Top], is_better_than: Callable[[Top, Top], bool]) -> l
     kept: list[Top] = []
     for top in tops:
         for number, other in enumerate(kept):
-            if share_place(top.fit, other.fit):
+            if share_place(top.fit.face, other.fit.face):
                 stands = top if is_better_than(top, other) else other
                 kept[number] = replace(stands, surfaces=(*other.surfaces, *top.surfaces))
                 break
@@ -123,13 +122,6 @@ def _rank(fit: FaceFit) -> tuple[int, float]:
     """Return the sort key that puts the surest first, among equals the largest: a face before the print on it."""
     sureness = (fit.rms_px > CERTAIN_RMS_PX) + (fit.rms_px > SURE_RMS_PX)
     return sureness, -fit.face.length_mm * fit.face.width_mm
-
-
-def share_place(fit: FaceFit, other: FaceFit) -> bool:
-    """Whether two faces stand over one place, so that they cannot both be right."""
-    outline, standing = (one.face.corners_mm()[:, :2].astype(np.float32) for one in (fit, other))
-    shared_mm2, _ = cv2.intersectConvexConvex(outline, standing)
-    return bool(shared_mm2 > _SHARED_PLACE * min(cv2.contourArea(outline), cv2.contourArea(standing)))
 
 
 def is_print(fit: FaceFit, other: FaceFit) -> bool:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from srvs_cell.vision.face_sources import Sources
-from srvs_cell.vision.faces import Figure, same_place
+from srvs_cell.vision.faces import Figure, same_place, share_place
 from srvs_cell.vision.joined_faces import joined_faces
 from srvs_cell.vision.lamp import find_lamps
 from srvs_cell.vision.profile_fit import measure_blur, measure_lamp
@@ -28,7 +28,6 @@ from srvs_cell.vision.tops import (
     explained_polygons,
     is_better,
     is_print,
-    share_place,
     trusted,
 )
 from srvs_cell.vision.witnesses import CONVINCING_PX2, Bench
@@ -161,7 +160,7 @@ def _new_tops(found: list[Witnesses], known: list[Top]) -> list[Top]:
     """Return the best face of each place where no known top suits better."""
     places: list[list[Witnesses]] = []
     for both in sorted(found, key=lambda both: both.price_px2):
-        place = next((one for one in places if share_place(both.agreed(), one[0].agreed())), None)
+        place = next((one for one in places if share_place(both.agreed().face, one[0].agreed().face)), None)
         if place is None:
             places.append([both])
         elif both.misfit_px2 < CONVINCING_PX2 and is_print(place[0].agreed(), both.agreed()):
@@ -169,7 +168,12 @@ def _new_tops(found: list[Witnesses], known: list[Top]) -> list[Top]:
         else:
             place.append(both)
     new = [Top(best.agreed_among(rivals), (), best.price_px2) for best, *rivals in places]
-    return [one for one in new if not any(share_place(one.fit, top.fit) and not is_better(one, top) for top in known)]
+    return [one for one in new if not any(_stands_before(top, one) for top in known)]
+
+
+def _stands_before(top: Top, other: Top) -> bool:
+    """Whether a top has the place of another one that suits no better."""
+    return share_place(top.fit.face, other.fit.face) and not is_better(other, top)
 
 
 def _in_one_light(known: list[Top], bench: Bench) -> list[Top]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srvs_cell.vision.face_fit import SETTLE, fit_faces
+from srvs_cell.vision.faces import share_place
 from srvs_cell.vision.inner_texture import inner_displacements
 from srvs_cell.vision.other_sides import other_rectangles
 from srvs_cell.vision.profile_fit import fit_profiles
@@ -65,7 +66,9 @@ _TWIN_SLACK_PX = 0.12
 """The same for the grey values of a level and of an inclined figure: a slope takes more of them with it."""
 _RIVALRY = 4
 """With this power of the ratio of their misfits a figure that suits worse counts."""
-_ROUNDS = 4
+_HOPELESS_RATIO = 3.0
+"""A face that suits worse than another at its place by more is not asked what else it may be."""
+_ROUNDS = 2
 """What suits better is asked again what else it may be, so often at most."""
 
 
@@ -196,19 +199,7 @@ class Bench:
     possible: Callable[[FaceFit], bool]
 
     def by_profiles(self, fits: Sequence[FaceFit]) -> list[Witnesses | None]:
-        """Fit faces that were fitted to the edges to the grey values; None where there is no possible fit.
-
-        One that comes out next to level is fitted to both as level.
-        """
-        seen = self._witnesses(fits)
-        slanted = [number for number, fit in enumerate(fits) if seen[number] is None and fit.face.slope_u != 0.0]
-        level = self.by_edges([replace(fits[number].face, slope_u=0.0) for number in slanted])
-        there = [(number, fit) for number, fit in zip(slanted, level, strict=True) if fit is not None]
-        for (number, _), both in zip(there, self._witnesses([fit for _, fit in there]), strict=True):
-            seen[number] = both
-        return seen
-
-    def _witnesses(self, fits: Sequence[FaceFit]) -> list[Witnesses | None]:
+        """Fit faces that were fitted to the edges to the grey values; None where there is no possible fit."""
         faces = [fit.face for fit in fits]
         inclined = [_is_sloped(face) for face in faces]
         seen = fit_profiles(faces, inclined, self.pictures, self.rig, self.table_z_mm)
@@ -252,30 +243,28 @@ class Bench:
         return fit_faces(faces, inclined, self.fields, self.rig, SETTLE, self.min_gradient)
 
     def from_lines(self, faces: Sequence[Face], max_rms_px: float) -> list[Witnesses]:
-        """Fit faces that lines span to the edges and to the grey values; those that suit both, the best first.
-
-        Both begin at the lines; where that leads the grey values to no possible face, they begin where the edges led.
-        """
+        """Fit faces that lines span to the edges and to the grey values; those that suit both, the best first."""
         fitted = [
             (face, fit)
             for face, fit in zip(faces, self.by_edges(faces), strict=True)
             if fit is not None and fit.rms_px <= _LOST_RMS_PX
         ]
+        # where the edges led need not be where the grey values lead: both begin at the lines
         starts = [face for face, _ in fitted]
         seen = fit_profiles(starts, [_is_sloped(face) for face in starts], self.pictures, self.rig, self.table_z_mm)
-        there, lost = [], []
-        for (_, edges), fit in zip(fitted, seen, strict=True):
-            if fit is not None and self.possible(fit):
-                there.append((edges, fit))
-            else:
-                lost.append(edges)
-        found = self.together(there) + [both for both in self.by_profiles(lost) if both is not None]
-        return sorted((both for both in found if both.is_believed(max_rms_px)), key=lambda both: both.misfit_px2)
+        there = [
+            (edges, fit) for (_, edges), fit in zip(fitted, seen, strict=True) if fit is not None and self.possible(fit)
+        ]
+        believed = [both for both in self.together(there) if both.is_believed(max_rms_px)]
+        return sorted(believed, key=lambda both: both.misfit_px2)
 
-    def settled(self, known: Sequence[Witnesses]) -> list[Witnesses]:
-        """Return faces as they are, or as another rectangle that suits the pictures clearly better."""
-        best = list(known)
-        changed = set(range(len(best)))
+    def settled(self, found: Sequence[Witnesses]) -> list[Witnesses]:
+        """Return faces as they are, or as another rectangle that suits the pictures clearly better.
+
+        What suits much worse than another face at its place stays as it is.
+        """
+        best = list(found)
+        changed = _contenders(best)
         for _ in range(_ROUNDS):
             changed = self._improve(best, changed)
         return best
@@ -312,6 +301,20 @@ class Bench:
             twin = min(twins, key=lambda one: one.misfit_px2, default=None)
             best[number] = replace(best[number], twin=twin)
         return improved
+
+
+def _contenders(found: Sequence[Witnesses]) -> set[int]:
+    """Return the numbers of the faces that suit about as well as any other at their place."""
+    faces = [one.agreed().face for one in found]
+    leaders: list[int] = []
+    contenders: set[int] = set()
+    for number in sorted(range(len(found)), key=lambda one: found[one].price_px2):
+        leader = next((one for one in leaders if share_place(faces[one], faces[number])), number)
+        if leader == number:
+            leaders.append(number)
+        if found[number].price_px2 <= _HOPELESS_RATIO * found[leader].price_px2:
+            contenders.add(number)
+    return contenders
 
 
 def _is_sloped(face: Face) -> bool:

@@ -183,12 +183,3 @@ def test_a_level_rectangle_that_is_a_wedges_gets_its_slope() -> None:
     assert not settled.twin.is_inclined
     assert settled.agreed().face.inclination_deg == pytest.approx(part.face.inclination_deg, abs=1.5)
     assert settled.agreed().face.z_mm == pytest.approx(part.face.z_mm, abs=1.5)
-
-
-def test_a_face_that_comes_out_next_to_level_is_fitted_as_level() -> None:
-    bench = replace(bench_of([BOX]), possible=lambda fit: fit.face.slope_u == 0.0 or fit.face.inclination_deg > 5.0)
-    slanted = FaceFit(replace(BOX.face, slope_u=0.1), np.eye(3), 0.3, 1.0)
-    (both,) = bench.by_profiles([slanted])
-    assert both is not None
-    assert both.by_edges.face.slope_u == both.by_profiles.face.slope_u == 0.0
-    assert both.by_profiles.face.z_mm == pytest.approx(BOX.face.z_mm, abs=1.0)
