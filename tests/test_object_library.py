@@ -10,8 +10,8 @@ import pytest
 
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.config import built_in_library, load_config, load_library, parse_library
-from srvs_cell.vision.kinds import BUILT_IN_KINDS, FacePattern, FaceRelation, ObjectKind
 from srvs_cell.vision.recognition import RecognitionParameters
+from srvs_cell.vision.recognition.kinds import BUILT_IN_KINDS, FacePattern, FaceRelation, ObjectKind
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reference" / "object-kinds.md").read_text(encoding="utf-8")

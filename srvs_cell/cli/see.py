@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Transform
     from srvs_cell.scene import Perception
     from srvs_cell.vision import StereoView, VisionParameters
-    from srvs_cell.vision.kinds import ObjectKind
     from srvs_cell.vision.lines import LinePerception
+    from srvs_cell.vision.recognition.kinds import ObjectKind
 
 _POSE_NUMBERS = 6
 

@@ -20,12 +20,12 @@ from srvs_cell.vision.edges import extract_edges
 from srvs_cell.vision.filtering import filter_edges
 from srvs_cell.vision.grouping import Grouping, group_surfaces
 from srvs_cell.vision.interpolation import disparity_at, fill_plane, fill_rows, find_row_ends, fit_disparity_plane
-from srvs_cell.vision.kinds import BUILT_IN_KINDS
 from srvs_cell.vision.lateral_stereo import surfaces_from_matches
 from srvs_cell.vision.matching import find_matches
 from srvs_cell.vision.picture_check import check_different, check_pair, check_picture
 from srvs_cell.vision.planes import measure_planes
 from srvs_cell.vision.recognition import recognise
+from srvs_cell.vision.recognition.kinds import BUILT_IN_KINDS
 from srvs_cell.vision.rectification import rectify_pair, to_grey
 from srvs_cell.vision.refinement import SMOOTHING_PX, GreyPair, refine_matches
 from srvs_cell.vision.region_growing import grow_regions
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from srvs_cell.calibration import Calibration
     from srvs_cell.geometry import Transform
     from srvs_cell.scene import Plane, Surface, Workpiece
-    from srvs_cell.vision.kinds import ObjectKind
     from srvs_cell.vision.parameters import VisionParameters
+    from srvs_cell.vision.recognition.kinds import ObjectKind
     from srvs_cell.vision.rectification import RectifiedRig
 
     Image = NDArray[np.uint8]

@@ -10,7 +10,7 @@ import numpy as np
 
 from srvs_cell.geometry import Transform, Xyzwpr
 from srvs_cell.scene import Plane, PlaneImage, PlaneMatch
-from srvs_cell.vision.faces import HEXAGON_RATIO, Face, Figure
+from srvs_cell.vision.faces.face import HEXAGON_RATIO, Face, Figure
 from srvs_cell.vision.rectification import RectifiedRig
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from srvs_cell.vision.face_fit import FaceFit
+from srvs_cell.vision.faces.edge_fit import FaceFit
+from srvs_cell.vision.recognition.tops import Top, explained_polygons, rising_test
 from srvs_cell.vision.rectification import RectifiedPair
 from srvs_cell.vision.refinement import GreyPair
 from srvs_cell.vision.relief import Relief, measure_relief, risen, rising_outlines, rising_share
-from srvs_cell.vision.tops import Top, explained_polygons, rising_test
 from tests.vision.painted import SIZE, TABLE_Z_MM, Part, cuboid, outline_mm, paint, rig
 
 if TYPE_CHECKING:
