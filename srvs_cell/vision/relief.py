@@ -59,6 +59,8 @@ _MIN_OUTLINE_PX = 600.0
 _JOIN_PX = 7
 _SEAM_PX = 11
 """What reaches no farther out of an explained polygon than half of this is its seam."""
+_THIN_PX = 3
+"""What rises and is narrower is no part of its own."""
 _MOSTLY = 0.5
 """What is explained to a larger share is a part's surroundings, not another one between two borders."""
 _MIN_ROWS = 0.6
@@ -216,6 +218,9 @@ def rising_outlines(relief: Relief, explained: Iterable[Array], min_area_px: int
         cv2.fillPoly(inside, [np.rint(polygon).astype(np.int32)], 1)
     beside = np.asarray(cv2.dilate(inside, np.ones((_SEAM_PX, _SEAM_PX), np.uint8)), dtype=np.uint8)
     mask = cv2.bitwise_and(relief.rises.view(np.uint8), cv2.bitwise_not(inside))
+    if min_area_px is not None:
+        # seams beside what is explained would make one outline of pieces that are far apart
+        mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((_THIN_PX, _THIN_PX), np.uint8))
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_JOIN_PX, _JOIN_PX), np.uint8))
     pieces = _pieces(np.asarray(closed, dtype=np.uint8), beside, min_area_px or _MIN_AREA_PX)
     hulls = [cv2.convexHull(piece.outline) for piece in pieces]

@@ -129,6 +129,28 @@ def test_what_a_known_part_explains_is_taken_away(both: Relief) -> None:
     assert rising_outlines(both, [around(SHADOW, 25.0)], 500) != []
 
 
+def test_a_known_part_explains_as_much_beside_its_long_sides_as_beside_its_short_ones() -> None:
+    part = cuboid(490.0, 80.0, 40.0, 20.0, (80.0, 12.0), 180)
+    (polygon,) = explained_polygons([Top(FaceFit(part.face, np.eye(3), 0.1, 1.0), ())], rig(), TABLE_Z_MM)
+    corners = picture(part)
+    middles = (corners + np.roll(corners, -1, axis=0)) / 2.0
+    for x, y in np.concatenate([corners, middles]):
+        assert cv2.pointPolygonTest(polygon.astype(np.float32), (float(x), float(y)), measureDist=True) > 4.5
+
+
+def test_a_thin_seam_beside_a_known_part_does_not_join_what_is_left_over() -> None:
+    shape = (200, 300)
+    rises = np.zeros(shape, dtype=np.bool_)
+    rises[80:110, 40:70] = rises[80:110, 200:230] = True
+    rises[80:82, 40:230] = True
+    relief = Relief(rises, 0.5, np.ones(shape, dtype=np.bool_))
+    left_over = rising_outlines(relief, [], 200)
+    assert sorted((outline[:, 0].min(), outline[:, 0].max()) for outline in left_over) == [(40.0, 69.0), (200.0, 229.0)]
+    # while faces are sought nothing is left out: a faint border is as thin
+    (sought,) = rising_outlines(relief, [])
+    assert (sought[:, 0].min(), sought[:, 0].max()) == (40.0, 229.0)
+
+
 def test_each_rising_pixel_counts_once() -> None:
     shape = (100, 100)
     rises = np.zeros(shape, dtype=np.bool_)

@@ -1,13 +1,13 @@
 """Recognition: planes and what rises over the table to objects, step 11.
 
-`recognise` is the way through. Faces come from planes (`top_faces`, `tops`, `recovery`) and, where something rises that
-they do not explain, from `face_sources`: borders in space (`ledges`, `spanned_faces`, `bordered_faces`), planes, a
-search (`rising_faces`, begun at `face_pieces` and at the `rising_height`) and wedges that are high on one side
-(`high_sides`). `verification` decides which of them stand, `joined_faces` which two are one. `kinds` is the library,
-`kind_matching` groups faces into objects, `workpieces` measures them and `grasping` says how to take hold of them.
-How a face is fitted to the pictures is in `srvs_cell.vision.faces`.
+`planes_to_objects` is the way through. Faces come from planes (`top_faces`, `tops`, `recovery`) and, where something
+rises that they do not explain, from `face_sources`: borders in space (`ledges`, `spanned_faces`, `bordered_faces`),
+planes, a search (`rising_faces`, begun at `face_pieces` and at the `rising_height`) and wedges that are high on one
+side (`high_sides`). `verification` decides which of them stand, `joined_faces` which two are one. `kinds` is the
+library, `kind_matching` groups faces into objects, `workpieces` measures them and `grasping` says how to take hold of
+them. How a face is fitted to the pictures is in `srvs_cell.vision.faces`.
 """
 
-from srvs_cell.vision.recognition.recognise import RecognitionParameters, recognise
+from srvs_cell.vision.recognition.planes_to_objects import RecognitionParameters, recognise
 
 __all__ = ["RecognitionParameters", "recognise"]

@@ -12,7 +12,7 @@ from srvs_cell.vision.recognition.ledges import find_ledges, find_lines
 if TYPE_CHECKING:
     from srvs_cell.scene import PlaneImage
     from srvs_cell.vision.recognition.ledges import Ledges
-    from srvs_cell.vision.recognition.recognise import RecognitionParameters
+    from srvs_cell.vision.recognition.planes_to_objects import RecognitionParameters
     from srvs_cell.vision.rectification import RectifiedRig
 
 

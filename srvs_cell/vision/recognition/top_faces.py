@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from srvs_cell.scene import Surface
     from srvs_cell.vision.faces.edge_fit import Effort
     from srvs_cell.vision.recognition.evidence import Evidence
-    from srvs_cell.vision.recognition.recognise import RecognitionParameters
+    from srvs_cell.vision.recognition.planes_to_objects import RecognitionParameters
     from srvs_cell.vision.rectification import RectifiedRig
 
 SURE_RMS_PX = 0.4

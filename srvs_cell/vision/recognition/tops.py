@@ -35,7 +35,9 @@ CERTAIN_RMS_PX = 0.15
 TRUSTED_RMS_PX = 0.5
 """A figure that fits worse does not explain what rises at its place, and does not tell the lamp at first."""
 _SIDE_FACE_MARGIN_MM = 4.0
-_SILHOUETTE_MARGIN_PX = 4.0
+_SILHOUETTE_MARGIN_PX = 5.0
+"""What rises so near beside the picture of a known part belongs to it."""
+_RING = np.column_stack([np.cos(np.arange(8) * np.pi / 4.0), np.sin(np.arange(8) * np.pi / 4.0)])
 _COLUMN_SHARE = 0.5
 _STEEP_TILT_DEG = 30.0
 _STEEP_SHARE = 0.15
@@ -215,9 +217,8 @@ def explained_polygons(tops: list[Top], rig: RectifiedRig, table_z_mm: float) ->
         x, y, disparity = rig.project_px(np.concatenate([corners, _feet(corners, table_z_mm)]))
         laid = x - (disparity - np.column_stack([x, y, np.ones_like(x)]) @ table)
         both = np.concatenate([np.column_stack([x, y]), np.column_stack([laid, y])])
-        hull = cv2.convexHull(both.astype(np.float32)).reshape(-1, 2).astype(np.float64)
-        rays = hull - hull.mean(axis=0)
-        polygons.append(hull + _SILHOUETTE_MARGIN_PX * rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        around = (both[:, None] + _SILHOUETTE_MARGIN_PX * _RING).reshape(-1, 2)
+        polygons.append(cv2.convexHull(around.astype(np.float32)).reshape(-1, 2).astype(np.float64))
     return polygons
 
 
