@@ -106,18 +106,39 @@ def test_circles_have_no_other_sides() -> None:
     assert other_rectangles(part.face, fields_of([part])[0], RIG, TABLE_Z_MM, MIN_GRADIENT) == []
 
 
+def mistaken_for_its_foot(bench: Bench) -> Witnesses:
+    """Return the outline of top and visible side face together, which a faint inner edge leads to."""
+    true = BOX.face
+    wrong = replace(true, length_mm=true.length_mm + 7.0, x_mm=true.x_mm + 3.3, y_mm=true.y_mm + 1.2)
+    by_edges, by_profiles = FaceFit(wrong, np.eye(3), 0.5, 0.8), FaceFit(wrong, np.eye(3), 0.6, 0.8)
+    return replace(seen_as(true, bench), by_edges=by_edges, by_profiles=by_profiles)
+
+
 def test_a_top_that_took_the_foot_of_its_side_face_for_a_side_is_mended() -> None:
     bench = bench_of([BOX])
     true = BOX.face
-    # the outline of top and visible side face together, which a faint inner edge leads to
-    wrong = replace(true, length_mm=true.length_mm + 7.0, x_mm=true.x_mm + 3.3, y_mm=true.y_mm + 1.2)
-    mistaken = replace(seen_as(true, bench), by_edges=FaceFit(wrong, np.eye(3), 0.5, 0.8))
-    mistaken = replace(mistaken, by_profiles=FaceFit(wrong, np.eye(3), 0.6, 0.8))
-    (settled,) = bench.settled([mistaken])
+    (settled,) = bench.settled([mistaken_for_its_foot(bench)])
     face = settled.agreed().face
     assert (face.length_mm, face.width_mm) == pytest.approx((true.length_mm, true.width_mm), abs=0.3)
     assert (face.x_mm, face.y_mm) == pytest.approx((true.x_mm, true.y_mm), abs=0.3)
     assert face.z_mm == pytest.approx(true.z_mm, abs=1.5)
+
+
+def test_what_suits_much_worse_than_another_face_at_its_place_is_not_asked_what_else_it_may_be() -> None:
+    bench = bench_of([BOX])
+    mistaken = mistaken_for_its_foot(bench)
+    elsewhere = replace(BOX.face, x_mm=BOX.face.x_mm + 200.0)
+    apart = seen_as(BOX.face, bench)
+    apart = replace(
+        apart,
+        by_edges=replace(apart.by_edges, face=elsewhere),
+        by_profiles=replace(apart.by_profiles, face=elsewhere),
+    )
+    hopeless, _ = bench.settled([mistaken, seen_as(BOX.face, bench)])
+    assert hopeless is mistaken
+    # a better face at another place is no rival
+    mended, _ = bench.settled([mistaken, apart])
+    assert mended is not mistaken
 
 
 def test_a_label_taken_for_the_border_gives_way_to_the_border() -> None:
