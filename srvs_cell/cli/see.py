@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from srvs_cell.scene import Perception
     from srvs_cell.vision import StereoView, VisionParameters
     from srvs_cell.vision.lines import LinePerception
-    from srvs_cell.vision.recognition.kinds import ObjectKind
+    from srvs_cell.vision.recognition import ObjectKind
 
 _POSE_NUMBERS = 6
 

@@ -13,7 +13,7 @@ from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.config.embedded import embedded_config
 from srvs_cell.config.validation import validate
 from srvs_cell.config.yaml_text import read_yaml
-from srvs_cell.vision.recognition.kinds import ObjectKind
+from srvs_cell.vision.recognition import ObjectKind
 
 if TYPE_CHECKING:
     from pathlib import Path

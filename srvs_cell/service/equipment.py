@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Transform
     from srvs_cell.planning import CellPlan, KeptPlaces
     from srvs_cell.scene import Perception, Workpiece
-    from srvs_cell.vision.recognition.kinds import ObjectKind
+    from srvs_cell.vision.recognition import ObjectKind
 
 _JOURNAL = "journal.sqlite"
 

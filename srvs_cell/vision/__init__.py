@@ -1,4 +1,7 @@
-"""Vision: two images to workpieces, one file a step, in the order of the paper."""
+"""Vision: two images to workpieces, one file a step, in the order of the paper.
+
+Step 11, planes to objects, is a room of its own (`recognition`), and so is the fit of one top face (`faces`).
+"""
 
 from srvs_cell.vision.parameters import Maxima, VisionParameters
 from srvs_cell.vision.pfm import encode_pfm

@@ -24,8 +24,7 @@ from srvs_cell.vision.lateral_stereo import surfaces_from_matches
 from srvs_cell.vision.matching import find_matches
 from srvs_cell.vision.picture_check import check_different, check_pair, check_picture
 from srvs_cell.vision.planes import measure_planes
-from srvs_cell.vision.recognition import recognise
-from srvs_cell.vision.recognition.kinds import BUILT_IN_KINDS
+from srvs_cell.vision.recognition import BUILT_IN_KINDS, recognise
 from srvs_cell.vision.rectification import rectify_pair, to_grey
 from srvs_cell.vision.refinement import SMOOTHING_PX, GreyPair, refine_matches
 from srvs_cell.vision.region_growing import grow_regions
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Transform
     from srvs_cell.scene import Plane, Surface, Workpiece
     from srvs_cell.vision.parameters import VisionParameters
-    from srvs_cell.vision.recognition.kinds import ObjectKind
+    from srvs_cell.vision.recognition import ObjectKind
     from srvs_cell.vision.rectification import RectifiedRig
 
     Image = NDArray[np.uint8]

@@ -8,6 +8,7 @@ library, `kind_matching` groups faces into objects, `workpieces` measures them a
 them. How a face is fitted to the pictures is in `srvs_cell.vision.faces`.
 """
 
+from srvs_cell.vision.recognition.kinds import BUILT_IN_KINDS, ObjectKind
 from srvs_cell.vision.recognition.planes_to_objects import RecognitionParameters, recognise
 
-__all__ = ["RecognitionParameters", "recognise"]
+__all__ = ["BUILT_IN_KINDS", "ObjectKind", "RecognitionParameters", "recognise"]
