@@ -10,6 +10,10 @@ share of the objects within three times their own Cramer-Rao bound (`benchmarks.
 1.0 mm, whichever is larger; what is missed is not. The bound is the pictures': it knows of no wrong calibration.
 `order` are the scenes whose found objects come in the order of their true heights; 0.1 mm apart is no order.
 
+Told apart are the objects of which something is hidden, by another one or beyond a picture's border: how many are
+recognised, how far off they are and whether the error was known (`in 95 %`), and how many of the spurious workpieces
+are a piece of one, farther than 15 mm from the whole's middle but over it.
+
 What hangs on the last digit in these few scenes is chance. `--shaken 10` counts each scene ten times instead, with
 pictures of which two pixels in 10,000, other ones each time, are one grey value brighter or darker.
 """
@@ -21,7 +25,7 @@ import json
 import os
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,7 +61,7 @@ _FAR = 1e6
 
 @dataclass(frozen=True)
 class Found:
-    """One fully visible object, and what was seen of it; None where nothing was."""
+    """One object, and what was seen of it; None where nothing was."""
 
     scene: str
     kind: str
@@ -81,13 +85,18 @@ class Found:
 
 @dataclass(frozen=True)
 class SceneResult:
-    """One scene: its fully visible objects, and what was seen where nothing is."""
+    """One scene: its fully visible objects, the partly hidden ones, and what was seen where nothing is.
+
+    ``pieces`` of the spurious workpieces are pieces of partly hidden objects.
+    """
 
     scene: str
     objects: tuple[Found, ...]
+    partly_hidden: tuple[Found, ...]
     spurious: tuple[str, ...]
-    matched_planes: int
-    milliseconds: float
+    pieces: int
+    matched_planes: int = 0
+    milliseconds: float = 0.0
 
     @property
     def in_order(self) -> bool:
@@ -141,10 +150,8 @@ def _shaken(image: NDArray[np.uint8], random: np.random.Generator) -> NDArray[np
     return np.clip(image + changes, 0, 255).astype(np.uint8)
 
 
-def judge(
-    scene: str, workpieces: Sequence[Workpiece], objects: Sequence[dict[str, Any]]
-) -> tuple[list[Found], list[str]]:
-    """Compare with the truth: the fully visible objects, and the workpieces that are taken for none."""
+def judge(scene: str, workpieces: Sequence[Workpiece], objects: Sequence[dict[str, Any]]) -> SceneResult:
+    """Compare workpieces with the truth."""
     seen = np.array([workpiece.position_mm for workpiece in workpieces]).reshape(-1, 3)
     true = np.array([one["position_mm"] for one in objects]).reshape(-1, 3)
     distance = np.linalg.norm(true[:, None, :2] - seen[None, :, :2], axis=2)
@@ -154,18 +161,26 @@ def judge(
         for row, column in zip(rows, columns, strict=True)
         if distance[row, column] <= MATCH_RADIUS_MM
     }
-    found = []
-    for number, one in enumerate(objects):
-        if one["fully_visible"]:
-            workpiece = workpieces[partner[number]] if number in partner else None
-            found.append(_compare(scene, one, workpiece))
-    taken = set(partner.values())
-    spurious = [
-        f"{scene} {workpiece.kind} {[round(value, 1) for value in workpiece.position_mm]} surfaces {workpiece.surfaces}"
-        for number, workpiece in enumerate(workpieces)
-        if number not in taken
+    found = [
+        _compare(scene, one, workpieces[partner[number]] if number in partner else None)
+        for number, one in enumerate(objects)
     ]
-    return found, spurious
+    whole = [bool(one["fully_visible"]) for one in objects]
+    half_mm = np.array([np.hypot(*one["size_mm"]) / 2.0 for one in objects])
+    over_hidden = (distance < half_mm[:, None])[~np.array(whole, dtype=np.bool_)].any(axis=0)
+    spurious = sorted(set(range(len(workpieces))) - set(partner.values()))
+    return SceneResult(
+        scene,
+        tuple(one for one, is_whole in zip(found, whole, strict=True) if is_whole),
+        tuple(one for one, is_whole in zip(found, whole, strict=True) if not is_whole),
+        tuple(_described(scene, workpieces[number]) for number in spurious),
+        int(np.count_nonzero(over_hidden[spurious])),
+    )
+
+
+def _described(scene: str, workpiece: Workpiece) -> str:
+    place = [round(value, 1) for value in workpiece.position_mm]
+    return f"{scene} {workpiece.kind} {place} surfaces {workpiece.surfaces}"
 
 
 def _compare(scene: str, one: dict[str, Any], workpiece: Workpiece | None) -> Found:
@@ -205,8 +220,8 @@ def evaluate(
     results = []
     for scene, seed in product(scenes, shaken):
         perception, objects, milliseconds = run_scene(folder / scene, parameters, seed)
-        found, spurious = judge(scene, perception.workpieces, objects)
-        results.append(SceneResult(scene, tuple(found), tuple(spurious), len(perception.matches), milliseconds))
+        judged = judge(scene, perception.workpieces, objects)
+        results.append(replace(judged, matched_planes=len(perception.matches), milliseconds=milliseconds))
         if pictures is not None:
             pictures.mkdir(parents=True, exist_ok=True)
             name = scene.replace("/", "-")
@@ -223,6 +238,9 @@ def summary(results: Sequence[SceneResult]) -> dict[str, float | int]:
     errors = np.array([one.error_mm for one in seen])
     heights = np.array([one.height_error_mm for one in seen])
     yaws = np.array([one.yaw_error_deg for one in seen if one.yaw_error_deg is not None])
+    hidden = [one for result in results for one in result.partly_hidden]
+    # an unknown shape claims no middle
+    recognised = [one for one in hidden if one.inside_95 is not None]
     return {
         "scenes": len(results),
         "objects": len(objects),
@@ -238,6 +256,11 @@ def summary(results: Sequence[SceneResult]) -> dict[str, float | int]:
         "inside_95_share": _mean(np.array([one.inside_95 for one in seen if one.inside_95 is not None], dtype=float)),
         "in_order": sum(result.in_order for result in results),
         "near_bound_share": _mean(np.array([one.near_bound for one in objects], dtype=float)),
+        "partly_hidden": len(hidden),
+        "partly_hidden_recognised": len(recognised),
+        "partly_hidden_error_mean_mm": _mean(np.array([one.error_mm for one in recognised])),
+        "partly_hidden_inside_95_share": _mean(np.array([one.inside_95 for one in recognised], dtype=float)),
+        "pieces": sum(result.pieces for result in results),
         "bound_median_mm": float(np.median([one.bound_mm for one in objects])) if objects else float("nan"),
         "milliseconds": _mean(np.array([result.milliseconds for result in results])),
     }
@@ -291,6 +314,13 @@ def main() -> None:
             f"{100.0 * row['near_bound_share']:>7.1f} %{row['in_order']:>5}/{row['scenes']:<2}"
             f"{row['milliseconds']:>6.0f}"
         )
+        if row["partly_hidden"]:
+            print(
+                f"      partly hidden: {row['partly_hidden']}, recognised {row['partly_hidden_recognised']}, "
+                f"mean {row['partly_hidden_error_mean_mm']:.2f} mm, "
+                f"in 95 % {100.0 * row['partly_hidden_inside_95_share']:.0f} %; "
+                f"of the spurious {row['pieces']} are pieces of them"
+            )
 
 
 if __name__ == "__main__":

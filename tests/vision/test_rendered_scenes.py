@@ -71,4 +71,4 @@ def test_what_differs_in_height_is_to_be_seen_in_that_order(
     heights_mm: list[tuple[float, float]], *, in_order: bool
 ) -> None:
     objects = tuple(Found("L0/000", "cuboid", "cuboid", 0.1, heights_mm=both) for both in heights_mm)
-    assert SceneResult("L0/000", objects, (), 0, 0.0).in_order is in_order
+    assert SceneResult("L0/000", objects, (), (), 0).in_order is in_order

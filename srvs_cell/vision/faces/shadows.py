@@ -23,6 +23,8 @@ _LEAST_SHARE = 0.2
 """No part comes nearer to the lamp than this share of its height over the table."""
 _MOST_NEARNESS = 1.0 / 400.0
 """No lamp stands lower than this over the table, one over millimetres."""
+_LEAST_NEARNESS = 1e-6
+"""A lamp that is farther away than a kilometre need not be told from one that is."""
 _ALONG = 1e-3
 """A side that is so nearly along a ray does not end it."""
 _CIRCLE_CORNERS = 36
@@ -47,6 +49,13 @@ class Lamp:
     nearness_per_mm: float
     table_z_mm: float
     shade: float = 1.0
+
+    @property
+    def place_mm(self) -> Array:
+        """Where the lamp is, base frame, shape (3,); where all light is parallel very far away."""
+        height_mm = 1.0 / max(self.nearness_per_mm, _LEAST_NEARNESS)
+        way_mm = np.array([*self.lean, 1.0]) * height_mm
+        return np.asarray(way_mm + np.array([*self.centre_mm, self.table_z_mm]))
 
     def shadows_mm(self, points_mm: Array) -> Array:
         """Return where on the table the shadows of points fall: (..., 3, N) becomes (..., 2, N), base frame."""

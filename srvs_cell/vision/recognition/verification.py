@@ -18,6 +18,7 @@ from srvs_cell.vision.faces.profile_fit import measure_blur, measure_lamp
 from srvs_cell.vision.faces.profiles import Pictures
 from srvs_cell.vision.faces.witnesses import CONVINCING_PX2, Bench
 from srvs_cell.vision.recognition.face_sources import Sources
+from srvs_cell.vision.recognition.hidden_sides import with_hidden_sides
 from srvs_cell.vision.recognition.joined_faces import joined_faces
 from srvs_cell.vision.recognition.top_faces import is_top
 from srvs_cell.vision.recognition.tops import (
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Array
     from srvs_cell.vision.faces.edge_fit import FaceFit
     from srvs_cell.vision.faces.face import Face
+    from srvs_cell.vision.faces.shadows import Lamp
     from srvs_cell.vision.faces.witnesses import Witnesses
     from srvs_cell.vision.recognition.evidence import Evidence
     from srvs_cell.vision.recognition.face_sources import Source
@@ -76,26 +78,27 @@ def verify_tops(
         evidence: the images.
 
     Returns:
-        The tops that stand there, the surest first; and outlines of what rises and stays unexplained, pixels of the
-        left image, each of shape (N, 2).
+        The tops that stand there, the surest first, as large as they likely are where a side is hidden; and outlines of
+        what rises and stays unexplained, pixels of the left image, each of shape (N, 2).
     """
     rig, table_z_mm = evidence.rig, evidence.table_z_mm
     bench = _bench_for(tops, evidence, TRUSTED_RMS_PX)
-    known = _known_tops(tops, planes, relief, evidence, bench)
+    known, lamp = _known_tops(tops, planes, relief, evidence, bench)
     rising_px = risen(relief, explained_polygons(known, rig, table_z_mm))
     standing = [
         top
         for top, pixels in zip(known, rising_px, strict=True)
         if pixels >= _SEAM_PX * _outline_px(top.fit.face, rig) and not _is_cut_off(top.fit, evidence)
     ]
-    unseen = rising_outlines(relief, explained_polygons(standing, rig, table_z_mm), _UNSEEN_PX)
-    return standing, unseen
+    whole = with_hidden_sides(standing, rig, lamp)
+    unseen = rising_outlines(relief, explained_polygons(whole, rig, table_z_mm), _UNSEEN_PX)
+    return whole, unseen
 
 
 def _known_tops(
     tops: list[Top], planes: Sequence[Region], relief: Relief, evidence: Evidence, bench: Bench
-) -> list[Top]:
-    """Return tops fitted to the grey values, with those that explain what else rises, the surest first.
+) -> tuple[list[Top], Lamp | None]:
+    """Return tops fitted to the grey values, with those that explain what else rises, the surest first; and the lamp.
 
     Where the edges told no lamp, and one source's tops do, all is judged anew in its light.
     """
@@ -125,7 +128,8 @@ def _known_tops(
                     return _known_tops(tops, planes, relief, evidence, lit)
             outlines = _unexplained(known, relief, evidence)
     known += _new_tops(sources.from_high_sides(known), known)
-    return sorted(_in_one_light(best_per_place(known), bench), key=lambda top: top.fit.rms_px)
+    found = sorted(_in_one_light(best_per_place(known), bench), key=lambda top: top.fit.rms_px)
+    return found, bench.pictures.lamp
 
 
 def _unexplained(known: list[Top], relief: Relief, evidence: Evidence) -> list[Array]:
