@@ -86,7 +86,7 @@ class Alarm(Enum):
     CALIBRATION_INVALID = AlarmDefinition(3101, _C, Reaction.ABORT, "The calibration is missing, malformed or impossible.", "Run 'srvs-cell calibrate check' and calibrate again.")
     BASELINE_INVALID = AlarmDefinition(3102, _E, Reaction.HOLD, "The two poses do not make a usable stereo baseline.", "Check the lateral path: a sideways move of the camera without rotation.")
     NOTHING_SEEN = AlarmDefinition(3201, _W, Reaction.SUSPEND, "No workpiece is in view.", "Put parts on the table; the cell looks again by itself.")
-    UNKNOWN_OBJECT = AlarmDefinition(3202, _W, Reaction.NONE, "A shape was seen that is in no library.", "Add the kind to the object library, or take the part away.")
+    UNKNOWN_OBJECT = AlarmDefinition(3202, _W, Reaction.NONE, "A shape was seen that is in no library, or only in part.", "Add the kind to the object library, move the part into view, or take it away.")
     UNCERTAIN_POSITION = AlarmDefinition(3203, _E, Reaction.HOLD, "A position or a height is less certain than the job allows.", "Improve lighting or calibration, or widen the tolerance that the detail names in the config.")
     VERIFY_FAILED = AlarmDefinition(3204, _E, Reaction.HOLD, "Parts do not stand where they should after a move, also after new plans.", "The detail names them; look at the report's pictures. Unhold to look again and plan anew.")
     LOOKS_DISAGREE = AlarmDefinition(3205, _E, Reaction.HOLD, "Looks at the same table do not see the same parts.", "Improve lighting or contrast, or separate the parts; unhold to look again.")

@@ -15,6 +15,7 @@ from srvs_cell.cell.job import Job, Outcome, Step
 from srvs_cell.cell.recovery import StepName
 from srvs_cell.cell.senses import StereoLook
 from srvs_cell.geometry import Transform
+from srvs_cell.planning import why_not_taken
 from srvs_cell.scene import UNKNOWN_KIND
 
 if TYPE_CHECKING:
@@ -124,9 +125,9 @@ class Perceive:
         job.looks += 1
         if not parts and not self.verifying:
             raise AlarmError(Alarm.NOTHING_SEEN, f"{len(perception.matches)} planes were matched, none is a workpiece.")
-        unknown = [workpiece.position_mm for workpiece in parts if workpiece.kind == UNKNOWN_KIND]
+        unknown = [workpiece for workpiece in parts if workpiece.kind == UNKNOWN_KIND]
         if unknown:
-            where = "; ".join(f"x = {x_mm:.0f} mm, y = {y_mm:.0f} mm" for x_mm, y_mm, _ in unknown)
+            where = "; ".join(_where_and_why(workpiece) for workpiece in unknown)
             job.warn(Alarm.UNKNOWN_OBJECT, f"At {where}.")
         return Outcome(evidence)
 
@@ -153,6 +154,11 @@ class Perceive:
         for name, picture in job.equipment.pictures(perception).items():
             await job.save_image(f"{name}_{job.looks}", picture)
         return {"workpieces": len(workpieces), "matches": len(perception.matches)}
+
+
+def _where_and_why(workpiece: Workpiece) -> str:
+    x_mm, y_mm, _ = workpiece.position_mm
+    return f"x = {x_mm:.0f} mm, y = {y_mm:.0f} mm ({why_not_taken(workpiece)})"
 
 
 def _left_end(job: Job) -> Transform:

@@ -324,7 +324,7 @@ def _name(workpiece: Workpiece) -> str:
 def why_not_taken(workpiece: Workpiece) -> str:
     """Return why a workpiece cannot be taken and stays where it is, or an empty string."""
     if workpiece.kind == UNKNOWN_KIND:
-        return "its shape is in no library"
+        return workpiece.grasp_refusal or "its shape is in no library"
     if workpiece.grasp is None:
         return workpiece.grasp_refusal or "there is no grasp for it"
     return ""

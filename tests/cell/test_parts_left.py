@@ -58,6 +58,15 @@ async def test_a_part_that_was_seen_badly_once_is_looked_at_again(tmp_path: Path
         assert cell.unit.snapshot()["moves_done"] == 3
 
 
+async def test_the_warning_says_where_it_stands_and_why_it_is_unknown(tmp_path: Path) -> None:
+    cut_off = {**UNKNOWN, "grasp": None, "grasp_refusal": "the picture's border cuts it off"}
+    async with running(with_a_part(tmp_path, cut_off, LEAVE)) as cell:
+        assert await job(cell) == "Complete"
+        details = [alarm["detail"] for alarm in cell.unit.snapshot()["alarms"] if alarm["name"] == "UNKNOWN_OBJECT"]
+        assert details[0] == "At x = 300 mm, y = 0 mm (the picture's border cuts it off)."
+        assert "(unknown) at (300, 0): the picture's border cuts it off" in told(cell)
+
+
 async def test_where_the_config_allows_it_the_others_are_moved_round_it_and_the_end_says_so(tmp_path: Path) -> None:
     async with running(with_a_part(tmp_path, UNKNOWN, LEAVE)) as cell:
         assert await job(cell) == "Complete"

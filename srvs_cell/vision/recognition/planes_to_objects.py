@@ -22,7 +22,13 @@ from srvs_cell.vision.recognition.evidence import Evidence
 from srvs_cell.vision.recognition.grasping import GraspParameters
 from srvs_cell.vision.recognition.kind_matching import group_faces
 from srvs_cell.vision.recognition.kinds import BUILT_IN_KINDS
-from srvs_cell.vision.recognition.recovery import find_places, place_unknown, rising_regions, unmatched_planes
+from srvs_cell.vision.recognition.recovery import (
+    find_places,
+    is_cut_off,
+    place_unknown,
+    rising_regions,
+    unmatched_planes,
+)
 from srvs_cell.vision.recognition.tops import (
     add_tops,
     explained_polygons,
@@ -33,7 +39,7 @@ from srvs_cell.vision.recognition.tops import (
     share_out,
 )
 from srvs_cell.vision.recognition.verification import verify_tops
-from srvs_cell.vision.recognition.workpieces import make_workpiece, measure_face, unrecognised
+from srvs_cell.vision.recognition.workpieces import CUT_OFF, IN_NO_LIBRARY, make_workpiece, measure_face, unrecognised
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -129,17 +135,23 @@ def recognise(
         add_tops([surface for surface in matched if rises(outline_px(surface, rig))], tops, evidence)
         tops, unseen = verify_tops(tops, planes, relief, evidence)
     tops, others = share_out(matched, tops, rig, table_z_mm)
-    unknown = [surface for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
+    unknown = [(surface, IN_NO_LIBRARY) for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
     explained = explained_polygons(tops, rig, table_z_mm)
     if relief is not None:
-        unknown += place_unknown(rising_regions(unseen, explained, left.grey.shape), relief, evidence)
+        regions = rising_regions(unseen, explained, left.grey.shape)
+        unknown += [
+            (surface, CUT_OFF if is_cut_off(region, relief) else IN_NO_LIBRARY)
+            for region, surface in zip(regions, place_unknown(regions, relief, evidence), strict=True)
+            if surface is not None
+        ]
     faces = [measure_face(top, left.grey, rig, reference) for top in tops]
     workpieces = [
         make_workpiece(group, faces, table_z_mm, limits.grasp)
         for group in group_faces([one.face for one in faces], table_z_mm, kinds)
     ]
     workpieces += [
-        unrecognised(surface, table_z_mm, face_brightness(surface.outline_mm, left.grey, rig)) for surface in unknown
+        unrecognised(surface, table_z_mm, face_brightness(surface.outline_mm, left.grey, rig), refusal)
+        for surface, refusal in unknown
     ]
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))

@@ -43,6 +43,9 @@ _MARGIN_PX = 3.0
 _SIGMA_PX = 0.5
 _RISING_SIGMA_PX = 0.6
 """Of a height that only what rises tells: an inclined face has many."""
+_BORDER_PX = 5
+_REACH_PX = 2 * _BORDER_PX + 1
+"""What a picture cuts off comes within three pixels of where it ends; all else kept away by ten."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -120,20 +123,31 @@ def find_places(regions: Iterable[Region], evidence: Evidence) -> tuple[Surface,
     return tuple(surface for surface in found if surface is not None)
 
 
-def place_unknown(regions: Iterable[Region], relief: Relief, evidence: Evidence) -> tuple[Surface, ...]:
+def place_unknown(regions: Iterable[Region], relief: Relief, evidence: Evidence) -> list[Surface | None]:
     """Give regions of the left image in which something rises a place, whatever their grey values tell.
 
     Returns:
-        Surfaces as above; one that the grey values do not place is half as high as a part may be, as unsure as that.
+        For each a surface as above, or None where it is a line; one that the grey values do not place is half as high
+        as a part may be, as unsure as that.
     """
-    found = []
+    found: list[Surface | None] = []
     for region in regions:
         disparity_px = rising_disparity(region, relief, evidence)
         if disparity_px is None:
             found.append(_somewhere(region, evidence))
         else:
             found.append(_placed(region, disparity_px, 0.0, _RISING_SIGMA_PX, evidence.rig))
-    return tuple(surface for surface in found if surface is not None)
+    return found
+
+
+def is_cut_off(region: Region, relief: Relief) -> bool:
+    """Whether a region reaches to where one of the two pictures ends: what rises there goes on unseen."""
+    grown = cv2.dilate(np.pad(region.mask, _BORDER_PX).astype(np.uint8), np.ones((_REACH_PX, _REACH_PX), np.uint8))
+    # what is outside of the picture is not seen
+    framed = np.pad(relief.valid, _BORDER_PX)
+    x, y = region.corner_px
+    window = framed[y : y + grown.shape[0], x : x + grown.shape[1]]
+    return bool((grown.view(np.bool_) & ~window).any())
 
 
 def _by_grey_values(region: Region, evidence: Evidence) -> Surface | None:

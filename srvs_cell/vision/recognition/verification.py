@@ -62,8 +62,10 @@ _SAME_MM = 4.0
 """A face made of two halves comes to rest within this of where they put it."""
 _WHOLE = 0.87
 """Share of an outline that is seen where all sides are."""
-_BORDER_PX = 10.0
-"""A side nearer to the border of a picture may be that border."""
+_SIDE_UNSEEN = 0.77
+"""Share of an outline at most where one side is not seen at all."""
+_BORDER_PX, _CORNER_PX = 10.0, 6.0
+"""A side nearer to the border of a picture may be that border; where a border cuts a part aslant a corner is nearer."""
 
 
 def verify_tops(
@@ -204,14 +206,17 @@ def _in_one_light(known: list[Top], bench: Bench) -> list[Top]:
 
 
 def _is_cut_off(fit: FaceFit, evidence: Evidence) -> bool:
-    """Whether one side is not seen and one lies at the border of a picture: the part goes on beyond."""
+    """Whether one side is not seen and one, or a corner, lies at the border of a picture: the part goes on beyond."""
     if fit.face.figure is not Figure.RECTANGLE or fit.support > _WHOLE:
         return False
     height, width = evidence.left.grey.shape
     x, y, disparity = evidence.rig.project_px(fit.face.corners_mm())
     for across in (x, x - disparity):
-        beyond = np.stack([across < _BORDER_PX, across > width - _BORDER_PX, y < _BORDER_PX, y > height - _BORDER_PX])
+        inside_px = np.stack([across, width - across, y, height - y])
+        beyond = inside_px < _BORDER_PX
         if (beyond & np.roll(beyond, 1, axis=1)).any():
+            return True
+        if fit.support <= _SIDE_UNSEEN and (inside_px < _CORNER_PX).any():
             return True
     return False
 

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from srvs_cell.vision.recognition.tops import Top
     from srvs_cell.vision.rectification import RectifiedRig
 
+IN_NO_LIBRARY = "its shape is in no library"
+CUT_OFF = "the picture's border cuts it off"
 _HALF_TURN_DEG = 180.0
 _DOUBT_FACTOR = 6.0
 """Standard deviation that an edge misfit of a pixel more than the sure one adds, pixels."""
@@ -90,7 +92,7 @@ def make_workpiece(
     # the faces of an object share their errors but for the edges' noise: the least sure one speaks for all
     covariance = max((one.covariance_mm2 for one in members), key=lambda matrix: float(np.trace(matrix)))
     if group.kind is None:
-        grasp, refusal = None, "the shape is in no library"
+        grasp, refusal = None, IN_NO_LIBRARY
     elif len(members) == 1:
         grasp, refusal = plan_grasp(body, covariance, table_z_mm, parameters)
     else:
@@ -112,8 +114,8 @@ def make_workpiece(
     )
 
 
-def unrecognised(surface: Surface, table_z_mm: float, brightness: float | None) -> Workpiece:
-    """Return what stands there where a surface is no top face that could be measured."""
+def unrecognised(surface: Surface, table_z_mm: float, brightness: float | None, refusal: str) -> Workpiece:
+    """Return what stands there where a surface is no top face that could be measured; ``refusal``: of a grasp."""
     hull = cv2.convexHull(surface.outline_mm[:, :2].astype(np.float32))
     _, (length_mm, width_mm), angle_deg = cv2.minAreaRect(hull)
     if width_mm > length_mm:
@@ -129,7 +131,7 @@ def unrecognised(surface: Surface, table_z_mm: float, brightness: float | None) 
         footprint_mm=hull.reshape(-1, 2).astype(np.float64),
         surfaces=(surface.id,),
         grasp=None,
-        grasp_refusal="the shape is in no library",
+        grasp_refusal=refusal,
         brightness=brightness,
     )
 

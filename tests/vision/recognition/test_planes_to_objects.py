@@ -127,6 +127,35 @@ def test_strange_shape_is_reported_as_unknown_with_its_surface() -> None:
     assert workpiece.brightness == 110.0
 
 
+@pytest.mark.parametrize(
+    ("at_px", "cut_off"),
+    [
+        ((10.0, 240.0), True),
+        # wholly in the left picture; the right one shows half of it
+        ((60.0, 240.0), True),
+        ((300.0, 470.0), True),
+        ((320.0, 4.0), True),
+        ((636.0, 240.0), True),
+        ((320.0, 240.0), False),
+    ],
+)
+def test_what_a_picture_cuts_off_is_no_smaller_part_and_told_to_be_cut_off(
+    at_px: tuple[float, float], *, cut_off: bool
+) -> None:
+    cameras = rig()
+    a, b, c = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), TABLE_Z_MM + 60.0)
+    x, y = at_px
+    x_mm, y_mm, _ = cameras.points_mm(np.array([x]), np.array([y]), np.array([a * x + b * y + c]))[0]
+    part = cuboid(float(x_mm), float(y_mm), 60.0, 30.0, (50.0, 36.0), 200)
+    left, right, _ = planes([part], cameras, paint([part], cameras), disparity_noise_px=0.0)
+    everywhere = np.ones(left.grey.shape, dtype=np.bool_)
+    pair = RectifiedPair(left.grey, right.grey, everywhere, everywhere, cameras)
+    relief = measure_relief(pair, GreyPair.of(left.grey, right.grey), TABLE_Z_MM, None)
+    (workpiece,) = recognise((), left, right, cameras, TABLE_Z_MM, relief=relief)
+    assert workpiece.kind == (UNKNOWN_KIND if cut_off else "cuboid")
+    assert ("border cuts it off" in workpiece.grasp_refusal) is cut_off
+
+
 def test_jaws_close_along_the_short_side(seen: tuple[Workpiece, ...]) -> None:
     grasp = of_surface(seen, 1).grasp
     assert grasp is not None

@@ -9,7 +9,13 @@ import pytest
 from srvs_cell.scene import PlaneImage
 from srvs_cell.vision.recognition import RecognitionParameters
 from srvs_cell.vision.recognition.evidence import Evidence
-from srvs_cell.vision.recognition.recovery import NO_PLANE, Region, find_places, place_unknown, rising_regions
+from srvs_cell.vision.recognition.recovery import (
+    NO_PLANE,
+    Region,
+    find_places,
+    place_unknown,
+    rising_regions,
+)
 from srvs_cell.vision.rectification import RectifiedPair
 from srvs_cell.vision.refinement import GreyPair
 from srvs_cell.vision.relief import Relief, measure_relief
@@ -56,6 +62,7 @@ def test_what_the_grey_values_do_not_place_is_there_all_the_same() -> None:
     region = region_of(DISC, left)
     assert find_places([region], evidence) == ()
     (surface,) = place_unknown([region], relief_of(left, right), evidence)
+    assert surface is not None
     assert np.hypot(surface.centre_mm[0] - 500.0, surface.centre_mm[1] - 50.0) < 20.0
     half_mm = limits.max_height_mm / 2.0
     assert surface.centre_mm[2] - TABLE_Z_MM == pytest.approx(half_mm, abs=0.3 * half_mm)
@@ -75,6 +82,7 @@ def test_what_rises_tells_its_height_though_its_shadow_is_darker(part: Part) -> 
     hull = cv2.convexHull(np.column_stack([x, y]).astype(np.float32)).reshape(-1, 2).astype(np.float64)
     (region,) = rising_regions([hull], [], left.shape)
     (surface,) = place_unknown([region], relief_of(left, right), evidence)
+    assert surface is not None
     assert surface.centre_mm[2] == pytest.approx(part.face.z_mm, abs=6.0)
     assert abs(surface.centre_mm[2] - part.face.z_mm) < 2.0 * surface.covariance_mm2[2, 2] ** 0.5
 
@@ -86,6 +94,7 @@ def test_a_region_in_which_hardly_anything_rises_has_any_height() -> None:
     limits = RecognitionParameters()
     evidence = Evidence.of(*images, rig(), TABLE_Z_MM, limits)
     (surface,) = place_unknown([region_of(DISC, paint([DISC], rig())[0])], relief_of(left, right), evidence)
+    assert surface is not None
     assert 2.0 * surface.covariance_mm2[2, 2] ** 0.5 > limits.max_height_mm / 2.0
 
 
