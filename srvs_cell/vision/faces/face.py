@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import cv2
@@ -94,7 +96,13 @@ class Face:
 
     def corners_mm(self) -> Array:
         """Return the outline's corners (a circle: 24 points), (N, 3), base frame, counter-clockwise from above."""
-        return self.place(unit_corners(self.figure))
+        return self._corners_mm
+
+    @cached_property
+    def _corners_mm(self) -> Array:
+        corners = self.place(unit_corners(self.figure))
+        corners.flags.writeable = False
+        return corners
 
     def place(self, unit: Array) -> Array:
         """Return points of the unit square, shape (N, 2), as points of the face, shape (N, 3), base frame."""
@@ -129,9 +137,9 @@ def same_place(face: Face, other: Face, tolerance_mm: float) -> bool:
     """Whether two faces are one figure, level or inclined, whose centres and sizes differ by no more than this."""
     if face.figure is not other.figure or (face.slope_u == 0.0) != (other.slope_u == 0.0):
         return False
-    place = np.array([face.x_mm - other.x_mm, face.y_mm - other.y_mm, face.z_mm - other.z_mm])
+    apart_mm = math.dist((face.x_mm, face.y_mm, face.z_mm), (other.x_mm, other.y_mm, other.z_mm))
     sizes, others = (sorted((one.length_mm, one.width_mm)) for one in (face, other))
-    return bool(max(np.linalg.norm(place), *np.abs(np.subtract(sizes, others))) <= tolerance_mm)
+    return max(apart_mm, *(abs(size - of_other) for size, of_other in zip(sizes, others, strict=True))) <= tolerance_mm
 
 
 def share_place(face: Face, other: Face) -> bool:
@@ -150,6 +158,7 @@ def inclined_faces(rectangle: Face, slope: float) -> list[Face]:
     return faces
 
 
+@lru_cache(maxsize=3)
 def unit_corners(figure: Figure) -> Array:
     """Return a figure's corners (a circle: 24 points) in its unit square [-1, 1], counter-clockwise, (N, 2)."""
     if figure is Figure.RECTANGLE:

@@ -96,7 +96,8 @@ def reach_px(outlines: Outlines, borders: Borders, rig: RectifiedRig, lamp: Lamp
     """
     reach = np.zeros(borders.spacing_px.shape)
     for figure in set(outlines.figures):
-        some = np.flatnonzero([one is figure for one in outlines.figures])
+        of_figure = [one is figure for one in outlines.figures]
+        some = slice(None) if all(of_figure) else np.flatnonzero(of_figure)
         tops = outlines.points_mm(_corners(figure))[some]
         on_table = np.concatenate([tops[:, :2], lamp.shadows_mm(tops)], axis=2)
         flat = np.stack([on_table[:, 0], on_table[:, 1], np.full_like(on_table[:, 0], lamp.table_z_mm)], axis=1)
@@ -141,7 +142,8 @@ def _outermost(feet: Array, shadows: Array) -> Array:
 
 def _along(corners: Array, figure: Figure) -> Array:
     """Return the directions of the sides of polygons, last axis; those of a circle at its corners."""
-    after = np.roll(corners, -1, axis=-1)
-    before = np.roll(corners, 1, axis=-1) if figure is Figure.CIRCLE else corners
-    directions: Array = after - before
+    number = np.arange(corners.shape[-1])
+    before = corners.take(number - 1, axis=-1) if figure is Figure.CIRCLE else corners
+    # the first one comes after the last one
+    directions: Array = corners.take(number + 1, axis=-1, mode="wrap") - before
     return directions
