@@ -14,6 +14,7 @@ import numpy as np
 
 from srvs_cell.vision.faces.face import Figure, same_place, share_place
 from srvs_cell.vision.faces.lamp import find_lamps
+from srvs_cell.vision.faces.outlines import Outlines
 from srvs_cell.vision.faces.profile_fit import measure_blur, measure_lamp
 from srvs_cell.vision.faces.profiles import Pictures
 from srvs_cell.vision.faces.witnesses import CONVINCING_PX2, Bench
@@ -35,6 +36,8 @@ from srvs_cell.vision.relief import risen, rising_outlines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from srvs_cell.geometry import Array
     from srvs_cell.vision.faces.edge_fit import FaceFit
@@ -62,6 +65,10 @@ _SAME_MM = 4.0
 """A face made of two halves comes to rest within this of where they put it."""
 _WHOLE = 0.87
 """Share of an outline that is seen where all sides are."""
+_SIDES, _SIDE_SAMPLES = 4, 12
+_BESIDE_PX = np.arange(-1.0, 1.5, dtype=np.float32)
+_CLEAR_GRADIENT = 2.0
+"""A side that is seen has an edge within a pixel, on the whole of so many grey values per pixel."""
 _SIDE_UNSEEN = 0.77
 """Share of an outline at most where one side is not seen at all."""
 _BORDER_PX, _CORNER_PX = 10.0, 6.0
@@ -206,8 +213,11 @@ def _in_one_light(known: list[Top], bench: Bench) -> list[Top]:
 
 
 def _is_cut_off(fit: FaceFit, evidence: Evidence) -> bool:
-    """Whether one side is not seen and one, or a corner, lies at the border of a picture: the part goes on beyond."""
-    if fit.face.figure is not Figure.RECTANGLE or fit.support > _WHOLE:
+    """Whether one side is not seen and one, or a corner, lies at the border of a picture: the part goes on beyond.
+
+    A side that one picture cuts off may be seen in the other one.
+    """
+    if fit.face.figure is not Figure.RECTANGLE or fit.support > _WHOLE or _sides_seen(fit.face, evidence).all():
         return False
     height, width = evidence.left.grey.shape
     x, y, disparity = evidence.rig.project_px(fit.face.corners_mm())
@@ -219,6 +229,17 @@ def _is_cut_off(fit: FaceFit, evidence: Evidence) -> bool:
         if fit.support <= _SIDE_UNSEEN and (inside_px < _CORNER_PX).any():
             return True
     return False
+
+
+def _sides_seen(face: Face, evidence: Evidence) -> NDArray[np.bool_]:
+    """Return which sides of a rectangle are along a clear edge in at least one of the pictures, shape (4,)."""
+    outlines = Outlines.of([face], [face.slope_u != 0.0], _SIDES * _SIDE_SAMPLES, equal_sides=True)
+    borders = outlines.seen(evidence.rig)
+    slopes = [
+        field.along_normals(points, normals, _BESIDE_PX).reshape(len(_BESIDE_PX), _SIDES, _SIDE_SAMPLES).mean(axis=2)
+        for field, points, normals in zip(evidence.fields, borders.points_px, borders.normals, strict=True)
+    ]
+    return np.asarray(np.abs(slopes).max(axis=(0, 1)) > _CLEAR_GRADIENT)
 
 
 def _outline_px(face: Face, rig: RectifiedRig) -> float:

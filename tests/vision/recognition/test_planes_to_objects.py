@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from srvs_cell.geometry import wrap_angle_deg
 from srvs_cell.scene import UNKNOWN_KIND, PlaneImage, Workpiece
@@ -27,6 +28,21 @@ def see(parts: list[Part], parameters: RecognitionParameters | None = None) -> t
     images = paint(parts, cameras)
     left, right, matches = planes(parts, cameras, images, disparity_noise_px=0.4)
     return recognise(surfaces_from_matches(left, matches, cameras), left, right, cameras, TABLE_Z_MM, parameters)
+
+
+def see_at(at_px: tuple[float, float]) -> tuple[Part, Workpiece]:
+    """Return a cuboid whose top has its middle at a pixel of the left picture, and the one workpiece seen."""
+    cameras = rig()
+    a, b, c = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), TABLE_Z_MM + 60.0)
+    x, y = at_px
+    x_mm, y_mm, _ = cameras.points_mm(np.array([x]), np.array([y]), np.array([a * x + b * y + c]))[0]
+    part = cuboid(float(x_mm), float(y_mm), 60.0, 30.0, (50.0, 36.0), 200)
+    left, right, _ = planes([part], cameras, paint([part], cameras), disparity_noise_px=0.0)
+    everywhere = np.ones(left.grey.shape, dtype=np.bool_)
+    pair = RectifiedPair(left.grey, right.grey, everywhere, everywhere, cameras)
+    relief = measure_relief(pair, GreyPair.of(left.grey, right.grey), TABLE_Z_MM, None)
+    (workpiece,) = recognise((), left, right, cameras, TABLE_Z_MM, relief=relief)
+    return part, workpiece
 
 
 def of_surface(workpieces: tuple[Workpiece, ...], surface: int) -> Workpiece:
@@ -131,8 +147,8 @@ def test_strange_shape_is_reported_as_unknown_with_its_surface() -> None:
     ("at_px", "cut_off"),
     [
         ((10.0, 240.0), True),
-        # wholly in the left picture; the right one shows half of it
-        ((60.0, 240.0), True),
+        # wholly in the left picture; the right one shows a third of it
+        ((40.0, 240.0), True),
         ((300.0, 470.0), True),
         ((320.0, 4.0), True),
         ((636.0, 240.0), True),
@@ -142,18 +158,20 @@ def test_strange_shape_is_reported_as_unknown_with_its_surface() -> None:
 def test_what_a_picture_cuts_off_is_no_smaller_part_and_told_to_be_cut_off(
     at_px: tuple[float, float], *, cut_off: bool
 ) -> None:
-    cameras = rig()
-    a, b, c = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), TABLE_Z_MM + 60.0)
-    x, y = at_px
-    x_mm, y_mm, _ = cameras.points_mm(np.array([x]), np.array([y]), np.array([a * x + b * y + c]))[0]
-    part = cuboid(float(x_mm), float(y_mm), 60.0, 30.0, (50.0, 36.0), 200)
-    left, right, _ = planes([part], cameras, paint([part], cameras), disparity_noise_px=0.0)
-    everywhere = np.ones(left.grey.shape, dtype=np.bool_)
-    pair = RectifiedPair(left.grey, right.grey, everywhere, everywhere, cameras)
-    relief = measure_relief(pair, GreyPair.of(left.grey, right.grey), TABLE_Z_MM, None)
-    (workpiece,) = recognise((), left, right, cameras, TABLE_Z_MM, relief=relief)
+    _, workpiece = see_at(at_px)
     assert workpiece.kind == (UNKNOWN_KIND if cut_off else "cuboid")
     assert ("border cuts it off" in workpiece.grasp_refusal) is cut_off
+
+
+@pytest.mark.parametrize("x_px", [60.0, 75.0])
+def test_what_only_one_picture_cuts_off_is_known_but_too_unsure_to_be_taken(x_px: float) -> None:
+    part, workpiece = see_at((x_px, 240.0))
+    assert workpiece.kind == "cuboid"
+    assert workpiece.size_mm == pytest.approx((50.0, 36.0), abs=2.0)
+    off_mm = np.array(workpiece.position_mm) - (part.face.x_mm, part.face.y_mm, part.face.z_mm)
+    assert off_mm @ np.linalg.solve(workpiece.covariance_mm2, off_mm) < chi2.ppf(0.95, df=3)
+    assert workpiece.grasp is None
+    assert "uncertain" in workpiece.grasp_refusal
 
 
 def test_jaws_close_along_the_short_side(seen: tuple[Workpiece, ...]) -> None:
