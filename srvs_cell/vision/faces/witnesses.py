@@ -48,7 +48,7 @@ _STRAY_RMS_PX = 0.5
 """Where the edges fit worse than this, and worse than the grey values, they may be another border's."""
 _ALL_SEEN = 0.85
 """Grey values that see less of an outline, a side less, do not speak against a figure that fits well."""
-_SIDE_UNSEEN = 0.77
+SIDE_UNSEEN = 0.77
 """Where neither fit sees more of an outline, nobody knows where one side is."""
 _LOST_RMS_PX = 2.0
 """Where the edges fit worse they are another border's, and the face is not there."""
@@ -157,7 +157,7 @@ class Witnesses:
             higher_mm = self.twin.by_profiles.face.highest_mm - agreed.face.highest_mm
             covariance_mm2[2, 2] += share / (1.0 + share) * higher_mm**2
         support = max(edges.support, profiles.support)
-        if support < _SIDE_UNSEEN:
+        if support < SIDE_UNSEEN:
             reach_mm = (1.0 - support) * max(agreed.face.length_mm, agreed.face.width_mm) / 2.0
             covariance_mm2[(0, 1), (0, 1)] += reach_mm**2
         inner_px2 = self.inner_px2 if grey_values else self.edges_inner_px2

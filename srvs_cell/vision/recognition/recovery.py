@@ -45,7 +45,7 @@ _RISING_SIGMA_PX = 0.6
 """Of a height that only what rises tells: an inclined face has many."""
 _BORDER_PX = 5
 _REACH_PX = 2 * _BORDER_PX + 1
-"""What a picture cuts off comes within three pixels of where it ends; all else kept away by ten."""
+"""What a picture cut off came within three pixels of where it ends, nearly all else kept away by ten."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 

@@ -17,7 +17,7 @@ from srvs_cell.vision.faces.lamp import find_lamps
 from srvs_cell.vision.faces.outlines import Outlines
 from srvs_cell.vision.faces.profile_fit import measure_blur, measure_lamp
 from srvs_cell.vision.faces.profiles import Pictures
-from srvs_cell.vision.faces.witnesses import CONVINCING_PX2, Bench
+from srvs_cell.vision.faces.witnesses import CONVINCING_PX2, SIDE_UNSEEN, Bench
 from srvs_cell.vision.recognition.face_sources import Sources
 from srvs_cell.vision.recognition.hidden_sides import with_hidden_sides
 from srvs_cell.vision.recognition.joined_faces import joined_faces
@@ -69,8 +69,6 @@ _SIDES, _SIDE_SAMPLES = 4, 12
 _BESIDE_PX = np.arange(-1.0, 1.5, dtype=np.float32)
 _CLEAR_GRADIENT = 2.0
 """A side that is seen has an edge within a pixel, on the whole of so many grey values per pixel."""
-_SIDE_UNSEEN = 0.77
-"""Share of an outline at most where one side is not seen at all."""
 _BORDER_PX, _CORNER_PX = 10.0, 6.0
 """A side nearer to the border of a picture may be that border; where a border cuts a part aslant a corner is nearer."""
 
@@ -226,7 +224,7 @@ def _is_cut_off(fit: FaceFit, evidence: Evidence) -> bool:
         beyond = inside_px < _BORDER_PX
         if (beyond & np.roll(beyond, 1, axis=1)).any():
             return True
-        if fit.support <= _SIDE_UNSEEN and (inside_px < _CORNER_PX).any():
+        if fit.support <= SIDE_UNSEEN and (inside_px < _CORNER_PX).any():
             return True
     return False
 
