@@ -11,7 +11,9 @@ import pytest
 from benchmarks.cell_scenes import write_scene as write_cell_scene
 from benchmarks.perceive_rendered import judge, run_scene
 from benchmarks.random_scenes import TAGS, draw_parts, draw_rig, write_scene
+from srvs_cell.scene import UNKNOWN_KIND
 from srvs_cell.vision import VisionParameters
+from srvs_cell.vision.recognition.workpieces import CUT_OFF
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -100,6 +102,15 @@ def test_what_is_hard_to_see_is_found(tmp_path: Path, tag: str, seed: int) -> No
     judged = judge(str(seed), perception.workpieces, objects)
     assert [one.seen_kind for one in judged.objects] == [one.kind for one in judged.objects]
     assert max(one.error_mm or 0.0 for one in judged.objects) < 3.0
+
+
+def test_a_part_that_the_border_cuts_aslant_is_no_smaller_one(tmp_path: Path) -> None:
+    write_scene(tmp_path, "L1", "cropped", 25007)
+    perception, objects, _ = run_scene(tmp_path, VisionParameters())
+    judged = judge("25007", perception.workpieces, objects)
+    assert judged.pieces == len(judged.spurious) == 1
+    assert "unknown" in judged.spurious[0]
+    assert [one.grasp_refusal for one in perception.workpieces if one.kind == UNKNOWN_KIND] == [CUT_OFF]
 
 
 @pytest.mark.parametrize("seed", [17016, 17026])

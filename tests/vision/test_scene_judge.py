@@ -31,11 +31,11 @@ def stands_at(x_mm: float, *, fully_visible: bool = True) -> dict[str, Any]:
 
 def test_what_is_partly_hidden_is_told_apart_from_what_is_wholly_seen() -> None:
     objects = [stands_at(0.0), stands_at(100.0, fully_visible=False), stands_at(200.0, fully_visible=False)]
-    found = [seen_at(0.5), seen_at(101.0), seen_at(220.0, kind=UNKNOWN_KIND, grasped=False), seen_at(400.0)]
+    found = [seen_at(0.5), seen_at(101.0), seen_at(220.0, kind=UNKNOWN_KIND, grasped=False), seen_at(-20.0)]
     judged = judge("L1/000", found, objects)
     assert [one.error_mm for one in judged.objects] == [0.5]
     assert [one.error_mm for one in judged.partly_hidden] == [1.0, None]
-    # the third is over the last object, though not near its middle; the fourth is over none
+    # the third is over the last object, though not near its middle; the fourth over one that is wholly seen
     assert len(judged.spurious) == 2
     assert judged.pieces == 1
     figures = summary([judged])

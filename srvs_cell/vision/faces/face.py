@@ -23,6 +23,10 @@ _HEXAGON_CORNERS = 6
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
+SIDES = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
+"""A rectangle's: axis (0 along the length, 1 across it) and which end of it."""
+
+
 class Figure(StrEnum):
     """The outline of a top face."""
 
@@ -126,6 +130,32 @@ class Face:
             slope_u=self.slope_v,
             slope_v=-self.slope_u,
         )
+
+    def beside(self, side: tuple[int, float], offsets_mm: Array, along: Array) -> Array:
+        """Return points of a rectangle's plane beside one of its sides, base frame, shape (N, K, 3).
+
+        Args:
+            side: one of `SIDES`.
+            offsets_mm: how far outwards, shape (N,).
+            along: where along the side, -1 to 1, shape (K,).
+        """
+        axis, end = side
+        unit = np.empty((offsets_mm.size, along.size, 2))
+        unit[..., axis] = end * (1.0 + 2.0 * offsets_mm[:, None] / (self.length_mm, self.width_mm)[axis])
+        unit[..., 1 - axis] = along
+        return self.place(unit.reshape(-1, 2)).reshape(offsets_mm.size, along.size, 3)
+
+    def stretched(self, side: tuple[int, float], shift_mm: float) -> Face:
+        """Return a rectangle with one of its `SIDES` moved outwards in its plane."""
+        axis, end = side
+        size_mm = (self.length_mm, self.width_mm)[axis]
+        centre = np.zeros((1, 2))
+        centre[0, axis] = end * shift_mm / size_mm
+        x_mm, y_mm, z_mm = (float(value) for value in self.place(centre)[0])
+        moved = replace(self, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
+        if axis == 0:
+            return replace(moved, length_mm=size_mm + shift_mm)
+        return replace(moved, width_mm=size_mm + shift_mm)
 
     @property
     def _height_mm(self) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srvs_cell.vision.faces.face import Face, Figure, inclined_faces
+from srvs_cell.vision.faces.face import SIDES, Face, Figure, inclined_faces
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,8 +37,6 @@ _MOST_LONGER = 1.0
 """No face goes down to the table by more than its own length."""
 _LEAST_LEFT = 0.3
 """No side moves so far inwards that less of the rectangle is left."""
-_SIDES = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
-"""Axis (0 along the length, 1 across it) and which end of it."""
 
 
 def other_rectangles(
@@ -60,15 +58,11 @@ def other_rectangles(
         found = inclined_faces(face, _SLOPE)
     else:
         found = [replace(face, slope_u=0.0), *_down_to_table(face, table_z_mm)]
-    for axis, end in _SIDES:
-        size_mm = (face.length_mm, face.width_mm)[axis]
-        unit = np.empty((_OFFSETS_PX.size, _ALONG.size, 2))
-        unit[..., axis] = end * (1.0 + 2.0 * offsets_mm[:, None] / size_mm)
-        unit[..., 1 - axis] = _ALONG
-        shifts_mm = offsets_mm[_lines(face.place(unit.reshape(-1, 2)), field, rig, min_gradient)]
-        found += [
-            _moved(face, axis, end, float(shift)) for shift in shifts_mm if size_mm + shift > _LEAST_LEFT * size_mm
-        ]
+    for side in SIDES:
+        size_mm = (face.length_mm, face.width_mm)[side[0]]
+        beside = face.beside(side, offsets_mm, _ALONG).reshape(-1, 3)
+        shifts_mm = offsets_mm[_lines(beside, field, rig, min_gradient)]
+        found += [face.stretched(side, float(shift)) for shift in shifts_mm if size_mm + shift > _LEAST_LEFT * size_mm]
     return found
 
 
@@ -78,7 +72,7 @@ def _down_to_table(face: Face, table_z_mm: float) -> list[Face]:
     longer_mm = step_mm / abs(face.slope_u)
     if step_mm < _LEAST_STEP_MM or longer_mm > _MOST_LONGER * face.length_mm:
         return []
-    return [_moved(face, 0, -float(np.sign(face.slope_u)), longer_mm)]
+    return [face.stretched((0, -float(np.sign(face.slope_u))), longer_mm)]
 
 
 def _lines(points_mm: Array, field: EdgeField, rig: RectifiedRig, min_gradient: float) -> NDArray[np.intp]:
@@ -103,15 +97,3 @@ def _lines(points_mm: Array, field: EdgeField, rig: RectifiedRig, min_gradient: 
     peak[1:-1] = (line[1:-1] >= line[:-2]) & (line[1:-1] > line[2:])
     there = np.flatnonzero(peak & (line >= min_gradient) & (np.abs(_OFFSETS_PX) >= _LEAST_PX))
     return there[np.argsort(-line[there])[:_LINES_OF_SIDE]]
-
-
-def _moved(face: Face, axis: int, end: float, shift_mm: float) -> Face:
-    """Return a rectangle with one side moved outwards in its plane."""
-    size_mm = (face.length_mm, face.width_mm)[axis]
-    centre = np.zeros((1, 2))
-    centre[0, axis] = end * shift_mm / size_mm
-    x_mm, y_mm, z_mm = (float(value) for value in face.place(centre)[0])
-    moved = replace(face, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
-    if axis == 0:
-        return replace(moved, length_mm=size_mm + shift_mm)
-    return replace(moved, width_mm=size_mm + shift_mm)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srvs_cell.vision.faces.face import Figure, unit_corners
+from srvs_cell.vision.faces.face import SIDES, Figure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -109,20 +109,15 @@ def hidden_mm(face: Face, higher: Sequence[_Solid], eyes_mm: Array, lamp_mm: Arr
     """Return how far a rectangle may go on behind higher parts at each of its sides, shape (4,), 0 where it does not.
 
     Args:
-        face: a rectangle; its sides are counted from the one below, counter-clockwise from above.
+        face: a rectangle; its sides are `SIDES`.
         higher: the parts.
         eyes_mm: where the cameras are, base frame, shape (2, 3).
         lamp_mm: where the lamp is, shape (3,); None where that is not known.
     """
-    corners = unit_corners(Figure.RECTANGLE)
-    ends, others = corners, np.roll(corners, -1, axis=0)
-    on_sides = ((ends + others) / 2.0)[:, None] + _ALONG[None, :, None] * ((others - ends) / 2.0)[:, None]
-    points = face.place(on_sides.reshape(-1, 2)).reshape(4, len(_ALONG), 3)
-    outwards = _outwards(face)[:, None, None]
 
     def unseen(beyond_mm: Array) -> NDArray[np.bool_]:
-        """Return what is not seen so far outside of the sides, (N,): by each camera, side and sample, (2, 4, 9, N)."""
-        places = points[:, :, None] + beyond_mm[:, None] * outwards
+        """Return what is not seen so far outside of the sides, (N,): by each camera, side and place, (2, 4, 9, N)."""
+        places = np.stack([face.beside(side, beyond_mm, _ALONG) for side in SIDES]).swapaxes(1, 2)
         free = ~np.any([solid.holds(places) for solid in higher], axis=0)
         dark = False if lamp_mm is None else _hidden(places, higher, lamp_mm)
         return np.stack([free & (dark | _hidden(places, higher, eye_mm)) for eye_mm in eyes_mm])
@@ -130,7 +125,7 @@ def hidden_mm(face: Face, higher: Sequence[_Solid], eyes_mm: Array, lamp_mm: Arr
     inside, outside = np.moveaxis(unseen(np.array([-_SLACK_MM, _SLACK_MM])), -1, 0)
     begins = outside & ~inside
     if np.all(np.median(begins, axis=-1) == 0.0):
-        return np.zeros(len(corners))
+        return np.zeros(len(SIDES))
     hidden = unseen(np.arange(_SLACK_MM, _MOST_MM, _STEP_MM))
     # up to the first place that is seen, or where the part is that hides
     steps = np.where(hidden.all(axis=-1), hidden.shape[-1], np.argmin(hidden, axis=-1))
@@ -143,27 +138,15 @@ def _hidden(places_mm: Array, solids: Sequence[_Solid], from_mm: Array) -> NDArr
     return np.asarray(np.any([solid.hides(places_mm, from_mm) for solid in solids], axis=0))
 
 
-def _outwards(face: Face) -> Array:
-    """Return the directions away from a rectangle's sides in its plane, a millimetre seen from above, shape (4, 3)."""
-    cos, sin = np.cos(face.angle_rad), np.sin(face.angle_rad)
-    along, across = np.array([cos, sin, face.slope_u]), np.array([-sin, cos, face.slope_v])
-    return np.stack([-across, along, across, -along])
-
-
 def _as_large_as_likely(top: Top, hidden: Array) -> Top:
     """Return a rectangle whose sides may each be anywhere up to so far out, millimetres: its mean and its spread."""
-    face, outwards = top.fit.face, _outwards(top.fit.face)
-    below, right, above, left = (float(one) for one in hidden / 2.0)
-    # the centre moves half as far as a side
-    x_mm, y_mm, z_mm = (face.x_mm, face.y_mm, face.z_mm) + hidden @ outwards / 4.0
-    grown = replace(
-        face,
-        x_mm=float(x_mm),
-        y_mm=float(y_mm),
-        z_mm=float(z_mm),
-        length_mm=face.length_mm + left + right,
-        width_mm=face.width_mm + below + above,
-    )
-    moves_mm = outwards * (hidden[:, None] / 2.0)
-    covariance_mm2 = top.fit.covariance_mm2 + moves_mm.T @ moves_mm / _UNIFORM
-    return replace(top, fit=replace(top.fit, face=grown, covariance_mm2=covariance_mm2))
+    face, covariance_mm2 = top.fit.face, top.fit.covariance_mm2
+    for side, most_mm in zip(SIDES, hidden, strict=True):
+        moved_mm = _centre(face.stretched(side, float(most_mm))) - _centre(face)
+        covariance_mm2 = covariance_mm2 + np.outer(moved_mm, moved_mm) / _UNIFORM
+        face = face.stretched(side, float(most_mm) / 2.0)
+    return replace(top, fit=replace(top.fit, face=face, covariance_mm2=covariance_mm2))
+
+
+def _centre(face: Face) -> Array:
+    return np.array([face.x_mm, face.y_mm, face.z_mm])

@@ -13,6 +13,7 @@ from srvs_cell.vision.recognition.recovery import (
     NO_PLANE,
     Region,
     find_places,
+    is_cut_off,
     place_unknown,
     rising_regions,
 )
@@ -107,3 +108,14 @@ def test_what_known_parts_explain_is_no_part_of_something_unknown() -> None:
     assert beside.mask.sum() == 30 * 41
     assert beside.centre_px[0] == pytest.approx(34.5)
     assert rising_regions([outline], [outline], (100, 120)) == []
+
+
+@pytest.mark.parametrize(
+    ("left", "top", "cut_off"), [(50, 40, False), (0, 40, True), (90, 40, True), (50, 70, True), (24, 40, True)]
+)
+def test_what_reaches_to_where_a_picture_ends_is_cut_off(left: int, top: int, *, cut_off: bool) -> None:
+    valid = np.ones((80, 100), dtype=np.bool_)
+    # what the right picture does not show
+    valid[:, :20] = False
+    region = Region(NO_PLANE, np.ones((10, 10), dtype=np.bool_), (left, top))
+    assert is_cut_off(region, Relief(np.zeros_like(valid), 1.0, valid)) is cut_off
