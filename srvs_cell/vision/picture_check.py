@@ -49,7 +49,8 @@ _ALIKE = 0.8
 _STRUCTURE_GREY = 4.0
 _STRUCTURE_FACTOR = 4.0
 """Standard deviation of a block, in grey values and in the noise's, from which on it has structure."""
-_MOST_BLOCKS = 60
+_STRONGEST = 60
+"""So many blocks with the most structure are sought at first."""
 _FEWEST_BLOCKS = 12
 _FOUND = 0.4
 """Share of the blocks that must be found where the poses allow: parts hide some of them, and noise others."""
@@ -101,7 +102,8 @@ def check_pair(pair: RectifiedPair, table_z_mm: float, max_height_mm: float) -> 
     """Refuse rectified pictures that do not show one scene on the table from their poses.
 
     Blocks with structure are sought in the right picture: they should be on their own rows, between the table's
-    disparity and that of the highest part, and some of them on the table. Too few blocks tell nothing and pass.
+    disparity and that of the highest part, and some of them, if need be of the fainter ones, on the table. Too few
+    blocks tell nothing and pass.
 
     Args:
         pair: the rectified pictures.
@@ -117,20 +119,32 @@ def check_pair(pair: RectifiedPair, table_z_mm: float, max_height_mm: float) -> 
     least, greatest = (
         np.array(pair.rig.plane_disparity(_UP, z_mm)) for z_mm in (table_z_mm, table_z_mm + max_height_mm)
     )
-    found = []
-    for x, y in _structured(left, pair):
-        place = np.array([_SCALE * x, _SCALE * y, 1.0])
-        one = _sought(left, right, (x, y), (float(least @ place) / _SCALE, float(greatest @ place) / _SCALE))
-        if one is not None:
-            found.append(one)
+
+    def sought(places: list[tuple[int, int]]) -> list[_Sought]:
+        found = []
+        for x, y in places:
+            place = np.array([_SCALE * x, _SCALE * y, 1.0])
+            one = _sought(left, right, (x, y), (float(least @ place) / _SCALE, float(greatest @ place) / _SCALE))
+            if one is not None:
+                found.append(one)
+        return found
+
+    places = _structured(left, pair)
+    found = sought(places[:_STRONGEST])
     if len(found) < _FEWEST_BLOCKS:
         return
     seen = [one for one in found if one.alike >= _ALIKE]
-    agreeing = [one for one in seen if abs(one.row) <= _ON_ROW and -_MARGIN <= one.above <= one.highest + _MARGIN]
-    on_table = sum(abs(one.above) <= _ON_TABLE for one in agreeing)
+    agreeing = [one for one in seen if one.agrees]
     enough = len(agreeing) >= _FOUND * len(found) and abs(_turn(seen, left.shape[1])) < _TURNED
-    if enough and (len(agreeing) < _FEWEST_BLOCKS or on_table >= _LEAST_ON_TABLE * len(agreeing)):
+    if enough and not _shows_table(agreeing):
+        # on a crowded table the strongest structure is the parts' alone
+        fainter = sought(places[_STRONGEST:])
+        found += fainter
+        seen += [one for one in fainter if one.alike >= _ALIKE]
+        agreeing = [one for one in seen if one.agrees]
+    if enough and _shows_table(agreeing):
         return
+    on_table = sum(one.on_table for one in agreeing)
     detail = f"Of {len(found)} places with structure {len(agreeing)} are found where the poses allow"
     if len(seen) < _FOUND * len(found):
         detail += ", and most are found nowhere: exchanged images, or images of different scenes."
@@ -165,6 +179,22 @@ class _Sought:
     above: float
     highest: float
 
+    @property
+    def agrees(self) -> bool:
+        """Whether it is where the poses allow."""
+        return abs(self.row) <= _ON_ROW and -_MARGIN <= self.above <= self.highest + _MARGIN
+
+    @property
+    def on_table(self) -> bool:
+        """Whether it is where the table is."""
+        return abs(self.above) <= _ON_TABLE
+
+
+def _shows_table(agreeing: list[_Sought]) -> bool:
+    """Whether enough of the blocks that are where the poses allow are table; a few need not."""
+    on_table = sum(one.on_table for one in agreeing)
+    return len(agreeing) < _FEWEST_BLOCKS or on_table >= _LEAST_ON_TABLE * len(agreeing)
+
 
 def _turn(seen: list[_Sought], width: int) -> float:
     """Return by how many rows blocks lie lower in the right third of the picture than in the left one, 0 if unknown."""
@@ -174,7 +204,7 @@ def _turn(seen: list[_Sought], width: int) -> float:
 
 
 def _structured(left: NDArray[np.float32], pair: RectifiedPair) -> list[tuple[int, int]]:
-    """Return the centres (x, y) of the blocks with the most structure in the halved left picture."""
+    """Return the centres (x, y) of the blocks with structure in the halved left picture, those with the most first."""
     side = 2 * _HALF_BLOCK + 1
     mean = cv2.blur(left, (side, side))
     deviation = np.sqrt(np.maximum(cv2.blur(left * left, (side, side)) - mean * mean, 0.0))
@@ -185,7 +215,7 @@ def _structured(left: NDArray[np.float32], pair: RectifiedPair) -> list[tuple[in
     grid = deviation[centres, centres] * (seen[::_SCALE, ::_SCALE][centres, centres] > 0)
     enough = max(_STRUCTURE_GREY, _STRUCTURE_FACTOR * noise)
     rows, columns = np.nonzero(grid >= enough)
-    best = np.argsort(-grid[rows, columns], kind="stable")[:_MOST_BLOCKS]
+    best = np.argsort(-grid[rows, columns], kind="stable")
     start = _HALF_BLOCK + _ROWS
     return [(start + side * int(columns[k]), start + side * int(rows[k])) for k in best]
 

@@ -115,6 +115,34 @@ def test_a_pose_that_is_turned_by_a_degree_is_refused(scene: Scene, w_deg: float
     assert caught.value.alarm is Alarm.PAIR_INCONSISTENT
 
 
+@pytest.mark.parametrize("off_mm", [0.0, 60.0])
+def test_a_table_is_found_between_parts_that_show_more_than_it(off_mm: float) -> None:
+    """What is clearest may all be parts, but a table that is elsewhere is found nowhere."""
+    cameras = rig()
+    rng = np.random.default_rng(1)
+    width, height = SIZE
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    grain = cv2.GaussianBlur(rng.normal(size=(height, width)).astype(np.float32), (0, 0), 6.0)
+    pictures = []
+    for z_mm, contrast in ((TABLE_Z_MM + off_mm, 12.0), (TABLE_Z_MM + 110.0, 40.0)):
+        a, b, c = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), z_mm)
+        left = 128.0 + contrast * grain / grain.std()
+        right = cv2.remap(left, (x + b * y + c).astype(np.float32) / np.float32(1.0 - a), y, cv2.INTER_CUBIC)
+        pictures.append((left, right))
+    table, parts = pictures
+    both = [
+        np.clip(np.where(y < 0.75 * height, high, low) + rng.normal(0.0, 1.0, x.shape), 0, 255).astype(np.uint8)
+        for low, high in zip(table, parts, strict=True)
+    ]
+    seen = np.ones(x.shape, dtype=np.bool_)
+    pair = RectifiedPair(both[0], both[1], seen, seen, cameras)
+    if off_mm == 0.0:
+        check_pair(pair, TABLE_Z_MM, 150.0)
+    else:
+        with pytest.raises(AlarmError, match=" 0 on the table"):
+            check_pair(pair, TABLE_Z_MM, 150.0)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_straight_edge_alone_does_not_tell_a_turn(seed: int) -> None:
     """Along the only edge of the right third every row looks alike: which is found is the noise's choice."""
