@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from srvs_cell.vision.rectification import RectifiedRig
     from srvs_cell.vision.relief import Relief
 
+_RISING_SHARE = 0.6
+"""Of a side face the upper part has enough parallax to be seen rising."""
 _HEIGHTS = 4
 """Besides the one that what rises tells."""
 _INCLINED_STRIDE = 2
@@ -68,11 +70,17 @@ def fit_rising(outlines: Iterable[Array], relief: Relief, evidence: Evidence, be
     rig, table_z_mm, limits = evidence.rig, evidence.table_z_mm, evidence.limits
     planes = plane_hulls(evidence.left, rig, table_z_mm, limits.max_size_mm)
     for outline in outlines:
-        levels = _levels(outline, relief, evidence)
-        doubled = [(float(z_mm), without_parallax(outline, rig, float(z_mm), table_z_mm)) for z_mm in levels]
-        seeds = [[(z_mm, border) for z_mm, border in doubled if border is not None]]
+        told_mm = _told_levels(outline, relief, evidence)
+        levels = [*told_mm, *_usual_levels(evidence)]
+        single = [(z_mm, without_parallax(outline, rig, z_mm, table_z_mm)) for z_mm in levels]
+        alone = [
+            (z_mm, without_sides(border, rig, z_mm, z_mm - _RISING_SHARE * (z_mm - table_z_mm)))
+            for z_mm, border in single[: len(told_mm)]
+            if border is not None
+        ]
+        seeds = [[(z_mm, border) for z_mm, border in borders if border is not None] for borders in (single, alone)]
         seeds += [
-            [(float(z_mm), laid_on(piece, rig, float(z_mm))) for z_mm in levels]
+            [(z_mm, laid_on(piece, rig, z_mm)) for z_mm in levels]
             for piece in face_pieces(bench.pictures.images[0], outline, planes)
         ]
         fits = [fit for fit in _fits_of(seeds, bench) if bench.possible(fit)]
@@ -85,19 +93,25 @@ def fit_rising(outlines: Iterable[Array], relief: Relief, evidence: Evidence, be
     return found
 
 
-def _levels(outline: Array, relief: Relief, evidence: Evidence) -> Array:
-    """Return heights to begin at: first the one on which the pictures agree in an outline, if there is one."""
-    rig, table_z_mm, limits = evidence.rig, evidence.table_z_mm, evidence.limits
-    # equal steps of parallax are equal steps of the image: 1 / distance, not height, is divided evenly
-    camera_z_mm = float(rig.base_T_camera.translation_mm[2])
-    near, far = (1.0 / (camera_z_mm - table_z_mm - height) for height in (limits.min_height_mm, limits.max_height_mm))
+def _told_levels(outline: Array, relief: Relief, evidence: Evidence) -> list[float]:
+    """Return the heights, base frame, on which the pictures agree in an outline; none where they do not."""
+    rig = evidence.rig
     told_mm = []
     for region in rising_regions([outline], [], relief.rises.shape):
         disparity_px = rising_disparity(region, relief, evidence)
         if disparity_px is not None:
             x, y = np.array(region.centre_px)[:, None]
-            told_mm.append(rig.points_mm(x, y, np.array([disparity_px]))[0, 2])
-    return np.concatenate([told_mm, camera_z_mm - 1.0 / np.linspace(near, far, _HEIGHTS)])
+            told_mm.append(float(rig.points_mm(x, y, np.array([disparity_px]))[0, 2]))
+    return told_mm
+
+
+def _usual_levels(evidence: Evidence) -> list[float]:
+    """Return heights, base frame, from which the fit reaches all that a part may have."""
+    rig, table_z_mm, limits = evidence.rig, evidence.table_z_mm, evidence.limits
+    # equal steps of parallax are equal steps of the image: 1 / distance, not height, is divided evenly
+    camera_z_mm = float(rig.base_T_camera.translation_mm[2])
+    near, far = (1.0 / (camera_z_mm - table_z_mm - height) for height in (limits.min_height_mm, limits.max_height_mm))
+    return [float(z_mm) for z_mm in camera_z_mm - 1.0 / np.linspace(near, far, _HEIGHTS)]
 
 
 def different(fits: Sequence[FaceFit], most: int | None = None) -> list[int]:
@@ -189,6 +203,50 @@ def without_parallax(outline: Array, rig: RectifiedRig, z_mm: float, table_z_mm:
     if area <= 0.0 or len(shared) < _CORNERS:
         return None
     return laid_on(shared.reshape(-1, 2).astype(np.float64), rig, z_mm)
+
+
+def without_sides(border: Array, rig: RectifiedRig, z_mm: float, foot_z_mm: float) -> Array | None:
+    """Return the face, seen from above, that a border encloses together with the side faces that the camera sees.
+
+    Seen from the camera the foot of a part is its face drawn together about the point below the camera: the face is
+    what the border and the border drawn apart by as much share.
+
+    Args:
+        border: seen from above, mm, base frame, shape (N, 2), as laid on ``z_mm``.
+        rig: the rectified cameras.
+        z_mm: height of the face.
+        foot_z_mm: height from which on the border encloses the side faces.
+
+    Returns:
+        Corners in mm, shape (M, 2); None where nothing is left.
+    """
+    camera_mm = rig.base_T_camera.translation_mm
+    apart = camera_mm[:2] + (border - camera_mm[:2]) * (camera_mm[2] - foot_z_mm) / (camera_mm[2] - z_mm)
+    hull, moved = (
+        cv2.convexHull(points.astype(np.float32)).reshape(-1, 2).astype(np.float64) for points in (border, apart)
+    )
+    shared = _cut(hull, moved)
+    return shared if len(shared) >= _CORNERS else None
+
+
+def _cut(polygon: Array, by: Array) -> Array:
+    """Return what two convex polygons share, counter-clockwise as they are (Sutherland and Hodgman 1974).
+
+    OpenCV's own way fails where sides lie in one line, as those do that point at the camera.
+    """
+    for start, along in zip(by, np.roll(by, -1, axis=0) - by, strict=True):
+        within = along[0] * (polygon[:, 1] - start[1]) - along[1] * (polygon[:, 0] - start[0])
+        ahead = np.roll(within, -1)
+        crossing = (within >= 0.0) != (ahead >= 0.0)
+        if not crossing.any():
+            if not (within >= 0.0).all():
+                return polygon[:0]
+            continue
+        share = np.divide(within, within - ahead, out=np.zeros_like(within), where=crossing)
+        met = polygon + share[:, None] * (np.roll(polygon, -1, axis=0) - polygon)
+        # each corner is followed by where the side that begins there is crossed
+        polygon = np.stack([polygon, met], axis=1).reshape(-1, 2)[np.stack([within >= 0.0, crossing], axis=1).ravel()]
+    return polygon
 
 
 def surrounding_rectangle(border: Array, z_mm: float) -> Face:

@@ -23,7 +23,6 @@ from srvs_cell.vision.recognition.hidden_sides import with_hidden_sides
 from srvs_cell.vision.recognition.joined_faces import joined_faces
 from srvs_cell.vision.recognition.top_faces import is_top
 from srvs_cell.vision.recognition.tops import (
-    CERTAIN_RMS_PX,
     TRUSTED_RMS_PX,
     Top,
     best_per_place,
@@ -56,7 +55,7 @@ _SEAM_PX = 1.5
 _UNSEEN_PX = 200
 """So many pixels of relief that no face explains are a part that was not recognised."""
 _FOR_BLUR = 3
-"""So many well known faces tell the blur of the picture."""
+"""So many of the surest faces tell the blur of the picture."""
 _FOR_LAMP = 6
 """So many faces that are known well enough tell where the lamp stands."""
 _TELLING_RMS_PX = 0.7
@@ -156,9 +155,8 @@ def _bench_for(tops: list[Top], evidence: Evidence, telling_rms_px: float) -> Be
     found = find_lamps(known, evidence.fields[0], evidence.left.grey, rig, table_z_mm)
     lamp = found.certain or measure_lamp(found.likely, known, pictures, rig, table_z_mm)
     pictures = replace(pictures, lamp=lamp)
-    certain = [fit.face for fit in surest[:_FOR_BLUR] if fit.rms_px < CERTAIN_RMS_PX]
     return Bench(
-        replace(pictures, blur_px=measure_blur(certain, pictures, rig, table_z_mm)),
+        replace(pictures, blur_px=measure_blur(known[:_FOR_BLUR], pictures, rig, table_z_mm)),
         evidence.fields,
         rig,
         table_z_mm,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -11,6 +11,7 @@ import pytest
 
 from srvs_cell.scene import UNKNOWN_KIND, PlaneImage
 from srvs_cell.vision.faces.edge_fit import FaceFit
+from srvs_cell.vision.faces.profile_fit import fit_profiles
 from srvs_cell.vision.recognition import RecognitionParameters, recognise
 from srvs_cell.vision.recognition.evidence import Evidence
 from srvs_cell.vision.recognition.tops import Top
@@ -123,6 +124,33 @@ def test_the_search_begins_at_the_height_that_what_rises_tells(monkeypatch: pyte
     assert face.z_mm == pytest.approx(part.face.z_mm, abs=1.0)
     assert face.length_mm == pytest.approx(40.0, abs=0.5)
     assert unseen == []
+
+
+def test_the_search_also_begins_without_the_side_faces(monkeypatch: pytest.MonkeyPatch) -> None:
+    part = cylinder(600.0, 110.0, 100.0, 28.0, 200)
+    begun: list[tuple[float, float, float]] = []
+    elsewhere_mm = np.array([[370.0, -300.0], [400.0, -340.0], [430.0, -300.0], [400.0, -260.0]])
+
+    def recorded(starts: list[Face], *arguments: Any) -> list[FaceFit | None]:
+        begun.extend((face.x_mm, face.y_mm, face.z_mm) for face in starts)
+        return fit_profiles(starts, *arguments)
+
+    monkeypatch.setattr("srvs_cell.vision.recognition.rising_faces.fit_profiles", recorded)
+    monkeypatch.setattr("srvs_cell.vision.recognition.rising_faces.without_sides", lambda *_: elsewhere_mm)
+    verified([part], [])
+    assert any(np.allclose(place, (400.0, -300.0, part.face.z_mm), atol=3.0) for place in begun)
+
+
+def test_a_top_that_is_not_certain_tells_the_blur_where_no_other_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[int] = []
+
+    def measured(faces: list[Face], *_: object) -> float:
+        told.append(len(faces))
+        return 0.85
+
+    monkeypatch.setattr("srvs_cell.vision.recognition.verification.measure_blur", measured)
+    verified([BOX], [top(BOX.face, 0.3, 0)])
+    assert told == [1]
 
 
 def test_a_shadow_on_a_top_makes_no_second_part_of_it() -> None:
