@@ -14,7 +14,7 @@ Told apart are the objects of which something is hidden, by another one or beyon
 recognised, how far off they are and whether the error was known (`in 95 %`), and how many of the spurious workpieces
 are a piece of one, farther than 15 mm from the whole's middle but over it. `grasps` are the workpieces that a robot
 would take; `off` are those that are farther sideways from any object's middle than a grasp allows (4 mm): what it would
-miss and nobody was told.
+miss and nobody was told. Scenes whose pictures the vision refuses are told, and all that is in them is missed.
 
 What hangs on the last digit in these few scenes is chance. `--shaken 10` counts each scene ten times instead, with
 pictures of which two pixels in 10,000, other ones each time, are one grey value brighter or darker.
@@ -39,6 +39,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from benchmarks.scene_truth import position_bound_mm
+from srvs_cell.alarms import AlarmError
 from srvs_cell.calibration import Calibration
 from srvs_cell.geometry import Transform, Xyzwpr, wrap_angle_deg
 from srvs_cell.scene import UNKNOWN_KIND
@@ -102,6 +103,8 @@ class SceneResult:
     grasps_off: int = 0
     matched_planes: int = 0
     milliseconds: float = 0.0
+    refusal: str = ""
+    """Why the pictures were not perceived at all."""
 
     @property
     def in_order(self) -> bool:
@@ -126,7 +129,18 @@ def run_scene(
         folder: of the scene.
         parameters: of the vision.
         shaken: which pixels are one grey value off, any number; None for the pictures as they are.
+
+    Raises:
+        AlarmError: the vision refuses the pictures.
     """
+    images, view, objects = _read(folder, shaken)
+    since = time.perf_counter()
+    perception = perceive(images[0], images[1], parameters, view=view, stopwatch=time.perf_counter)
+    return perception, objects, 1000.0 * (time.perf_counter() - since)
+
+
+def _read(folder: Path, shaken: int | None) -> tuple[list[NDArray[np.uint8]], StereoView, list[dict[str, Any]]]:
+    """Return a scene's pictures, where they were taken, and the true objects with their bounds."""
     calibration = Calibration.from_mapping(
         yaml.safe_load((folder / "calibration.yaml").read_text(encoding="utf-8")), str(folder / "calibration.yaml")
     )
@@ -140,14 +154,11 @@ def run_scene(
     if shaken is not None:
         random = np.random.default_rng(shaken)
         images = [_shaken(image, random) for image in images]
-    since = time.perf_counter()
-    perception = perceive(images[0], images[1], parameters, view=view, stopwatch=time.perf_counter)
-    milliseconds = 1000.0 * (time.perf_counter() - since)
     objects = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["objects"]
     for one in objects:
         # who exported the scene may not have said how the faces lie
         one["bound_mm"] = position_bound_mm(one, images[0], view) if "face_normal" in one else float("nan")
-    return perception, objects, milliseconds
+    return images, view, objects
 
 
 def _shaken(image: NDArray[np.uint8], random: np.random.Generator) -> NDArray[np.uint8]:
@@ -228,7 +239,12 @@ def evaluate(
     parameters = VisionParameters()
     results = []
     for scene, seed in product(scenes, shaken):
-        perception, objects, milliseconds = run_scene(folder / scene, parameters, seed)
+        try:
+            perception, objects, milliseconds = run_scene(folder / scene, parameters, seed)
+        except AlarmError as error:
+            _, _, objects = _read(folder / scene, seed)
+            results.append(replace(judge(scene, (), objects), refusal=str(error)))
+            continue
         judged = judge(scene, perception.workpieces, objects)
         results.append(replace(judged, matched_planes=len(perception.matches), milliseconds=milliseconds))
         if pictures is not None:
@@ -254,6 +270,7 @@ def summary(results: Sequence[SceneResult]) -> dict[str, float | int]:
         "scenes": len(results),
         "objects": len(objects),
         "found": len(seen),
+        "refused": sum(bool(result.refusal) for result in results),
         "spurious": sum(len(result.spurious) for result in results),
         "kind_right": sum(one.kind == one.seen_kind for one in seen),
         "error_mean_mm": _mean(errors),
@@ -273,7 +290,7 @@ def summary(results: Sequence[SceneResult]) -> dict[str, float | int]:
         "grasps": sum(result.grasps for result in results),
         "grasps_off": sum(result.grasps_off for result in results),
         "bound_median_mm": float(np.median([one.bound_mm for one in objects])) if objects else float("nan"),
-        "milliseconds": _mean(np.array([result.milliseconds for result in results])),
+        "milliseconds": _mean(np.array([result.milliseconds for result in results if not result.refusal])),
     }
 
 
@@ -308,6 +325,8 @@ def main() -> None:
             if one.error_mm is None or one.kind != one.seen_kind or one.error_mm > arguments.worst_mm:
                 place = "missed" if one.offset_mm is None else "off by " + " ".join(f"{d:+.2f}" for d in one.offset_mm)
                 print(f"  {one.scene} {one.kind} seen as {one.seen_kind}: {place} (bound {one.bound_mm:.2f} mm)")
+        if result.refusal:
+            print(f"  {result.scene} refused: {result.refusal}")
         for line in result.spurious:
             print(f"  spurious: {line}")
     names = sorted({result.scene.split("/", maxsplit=1)[0] for result in results})

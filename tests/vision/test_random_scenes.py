@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.cell_scenes import write_scene as write_cell_scene
-from benchmarks.perceive_rendered import judge, run_scene
+from benchmarks.perceive_rendered import evaluate, judge, run_scene, summary
 from benchmarks.random_scenes import TAGS, draw_parts, draw_rig, write_scene
 from srvs_cell.scene import UNKNOWN_KIND
 from srvs_cell.vision import VisionParameters
@@ -70,6 +71,23 @@ def test_the_pictures_show_the_parts_where_the_truth_says(tmp_path: Path) -> Non
     assert judged.spurious == ()
     assert [one.seen_kind for one in judged.objects] == [one.kind for one in judged.objects]
     assert max(one.error_mm or 0.0 for one in judged.objects) < 1.0
+
+
+def test_a_scene_that_is_refused_is_told_and_counted_as_missed(tmp_path: Path) -> None:
+    folder = tmp_path / "L0" / "000"
+    write_scene(folder, "L0", "plain", 2)
+    shutil.copy(folder / "left.png", folder / "right.png")
+    (result,) = results = evaluate(tmp_path, ["L0/000"])
+    assert "PAIR_INCONSISTENT" in result.refusal
+    row = summary(results)
+    assert (row["refused"], row["found"], row["spurious"]) == (1, 0, 0)
+    assert row["objects"] >= 5
+
+
+def test_parts_that_show_more_than_the_table_are_not_taken_for_another_scene(tmp_path: Path) -> None:
+    write_scene(tmp_path, "L1", TAGS[4], 33024)
+    perception, objects, _ = run_scene(tmp_path, VisionParameters())
+    assert len(perception.workpieces) == len(objects)
 
 
 def test_a_look_of_the_simulated_cell_is_told_a_little_wrong(tmp_path: Path) -> None:
