@@ -108,10 +108,10 @@ class SceneResult:
 
     @property
     def in_order(self) -> bool:
-        """Whether what was found, sorted by the heights seen, is sorted by the true ones."""
+        """Whether what was found and sorted by the heights seen is in the true order; refused pictures tell none."""
         both = [one.heights_mm for one in self.objects if one.heights_mm is not None]
         true = np.array([height for height, _ in sorted(both, key=lambda pair: pair[1])])
-        return bool(np.all(np.maximum.accumulate(true) - true <= TIE_MM))
+        return not self.refusal and bool(np.all(np.maximum.accumulate(true) - true <= TIE_MM))
 
 
 def data_folder() -> Path:

@@ -115,27 +115,42 @@ def test_a_pose_that_is_turned_by_a_degree_is_refused(scene: Scene, w_deg: float
     assert caught.value.alarm is Alarm.PAIR_INCONSISTENT
 
 
+def at_height(left: NDArray[np.float32], z_mm: float) -> NDArray[np.float32]:
+    """Return the right picture of a level surface whose left one is given."""
+    height, width = left.shape
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    a, b, c = rig().plane_disparity(np.array([0.0, 0.0, 1.0]), z_mm)
+    # the point of the surface that a right pixel shows, in the left image
+    return np.asarray(cv2.remap(left, (x + b * y + c).astype(np.float32) / np.float32(1.0 - a), y, cv2.INTER_CUBIC))
+
+
+def photographed(
+    left: NDArray[np.float32], right: NDArray[np.float32], noise: float, rng: np.random.Generator
+) -> RectifiedPair:
+    pictures = [
+        np.clip(picture + rng.normal(0.0, noise, picture.shape), 0, 255).astype(np.uint8) for picture in (left, right)
+    ]
+    seen = np.ones(left.shape, dtype=np.bool_)
+    return RectifiedPair(pictures[0], pictures[1], seen, seen, rig())
+
+
+def grain(sigma_px: float, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return a texture of standard deviation 1."""
+    width, height = SIZE
+    texture = cv2.GaussianBlur(rng.normal(size=(height, width)).astype(np.float32), (0, 0), sigma_px)
+    return np.asarray(texture / texture.std(), dtype=np.float32)
+
+
 @pytest.mark.parametrize("off_mm", [0.0, 60.0])
 def test_a_table_is_found_between_parts_that_show_more_than_it(off_mm: float) -> None:
     """What is clearest may all be parts, but a table that is elsewhere is found nowhere."""
-    cameras = rig()
     rng = np.random.default_rng(1)
-    width, height = SIZE
-    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    grain = cv2.GaussianBlur(rng.normal(size=(height, width)).astype(np.float32), (0, 0), 6.0)
-    pictures = []
-    for z_mm, contrast in ((TABLE_Z_MM + off_mm, 12.0), (TABLE_Z_MM + 110.0, 40.0)):
-        a, b, c = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), z_mm)
-        left = 128.0 + contrast * grain / grain.std()
-        right = cv2.remap(left, (x + b * y + c).astype(np.float32) / np.float32(1.0 - a), y, cv2.INTER_CUBIC)
-        pictures.append((left, right))
-    table, parts = pictures
-    both = [
-        np.clip(np.where(y < 0.75 * height, high, low) + rng.normal(0.0, 1.0, x.shape), 0, 255).astype(np.uint8)
-        for low, high in zip(table, parts, strict=True)
-    ]
-    seen = np.ones(x.shape, dtype=np.bool_)
-    pair = RectifiedPair(both[0], both[1], seen, seen, cameras)
+    texture = grain(6.0, rng)
+    table, parts = 128.0 + 12.0 * texture, 128.0 + 40.0 * texture
+    rows = np.arange(len(texture))[:, None] < 0.75 * len(texture)
+    left = np.where(rows, parts, table)
+    right = np.where(rows, at_height(parts, TABLE_Z_MM + 110.0), at_height(table, TABLE_Z_MM + off_mm))
+    pair = photographed(left, right, 1.0, rng)
     if off_mm == 0.0:
         check_pair(pair, TABLE_Z_MM, 150.0)
     else:
@@ -146,18 +161,12 @@ def test_a_table_is_found_between_parts_that_show_more_than_it(off_mm: float) ->
 @pytest.mark.parametrize("seed", range(6))
 def test_a_straight_edge_alone_does_not_tell_a_turn(seed: int) -> None:
     """Along the only edge of the right third every row looks alike: which is found is the noise's choice."""
-    cameras = rig()
     rng = np.random.default_rng(seed)
     width, height = SIZE
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    a, b, c = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), TABLE_Z_MM)
-    grain = cv2.GaussianBlur(rng.normal(size=(height, width)).astype(np.float32), (0, 0), 2.5)
-    left = 110.0 + 20.0 * grain / grain.std() * (x < 0.6 * width) + 60.0 * (x - 0.7 * y > 300.0) * (x > 0.7 * width)
-    # the table point that a right pixel shows, in the left image
-    right = cv2.remap(left, (x + b * y + c).astype(np.float32) / np.float32(1.0 - a), y, cv2.INTER_CUBIC)
-    pictures = [np.clip(picture + rng.normal(0.0, 2.0, x.shape), 0, 255).astype(np.uint8) for picture in (left, right)]
-    seen = np.ones(x.shape, dtype=np.bool_)
-    check_pair(RectifiedPair(pictures[0], pictures[1], seen, seen, cameras), TABLE_Z_MM, 120.0)
+    left = 110.0 + 20.0 * grain(2.5, rng) * (x < 0.6 * width) + 60.0 * (x - 0.7 * y > 300.0) * (x > 0.7 * width)
+    left = left.astype(np.float32)
+    check_pair(photographed(left, at_height(left, TABLE_Z_MM), 2.0, rng), TABLE_Z_MM, 120.0)
 
 
 def test_a_table_that_is_elsewhere_is_refused(scene: Scene) -> None:

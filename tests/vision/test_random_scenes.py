@@ -80,7 +80,7 @@ def test_a_scene_that_is_refused_is_told_and_counted_as_missed(tmp_path: Path) -
     (result,) = results = evaluate(tmp_path, ["L0/000"])
     assert "PAIR_INCONSISTENT" in result.refusal
     row = summary(results)
-    assert (row["refused"], row["found"], row["spurious"]) == (1, 0, 0)
+    assert (row["refused"], row["found"], row["spurious"], row["in_order"]) == (1, 0, 0, 0)
     assert row["objects"] >= 5
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from srvs_cell.vision.rectification import RectifiedRig
     from srvs_cell.vision.relief import Relief
 
-CERTAIN_RMS_PX = 0.15
+_CERTAIN_RMS_PX = 0.15
 """A figure that fits like this leaves nothing for another one to explain."""
 TRUSTED_RMS_PX = 0.5
 """A figure that fits worse does not explain what rises at its place, and does not tell the lamp at first."""
@@ -122,7 +122,7 @@ def is_better(top: Top, other: Top) -> bool:
 
 def _rank(fit: FaceFit) -> tuple[int, float]:
     """Return the sort key that puts the surest first, among equals the largest: a face before the print on it."""
-    sureness = (fit.rms_px > CERTAIN_RMS_PX) + (fit.rms_px > SURE_RMS_PX)
+    sureness = (fit.rms_px > _CERTAIN_RMS_PX) + (fit.rms_px > SURE_RMS_PX)
     return sureness, -fit.face.length_mm * fit.face.width_mm
 
 

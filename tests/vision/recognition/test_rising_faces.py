@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from srvs_cell.vision.recognition.rising_faces import without_sides
@@ -39,6 +39,8 @@ def with_sides(face_mm: Array, foot_z_mm: float) -> Array:
     st.floats(15.0, 110.0),
     st.floats(25.0, 70.0),
 )
+@example("cuboid", 409.0, -100.0, 50.0, 62.0)
+@example("prism", 471.0, 18.0, 19.0, 44.0)
 @settings(max_examples=60, deadline=None)
 def test_the_side_faces_are_taken_away(kind: str, x_mm: float, y_mm: float, height_mm: float, across_mm: float) -> None:
     part = {
