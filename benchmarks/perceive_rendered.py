@@ -8,7 +8,9 @@ repository). A workpiece is taken for the object that is nearest in x and y, one
 fully visible objects; `spurious` are workpieces that are taken for no object at all, visible or not. `in 3 CR` is the
 share of the objects within three times their own Cramer-Rao bound (`benchmarks.scene_truth`; printed is its median) or
 1.0 mm, whichever is larger; what is missed is not. The bound is the pictures': it knows of no wrong calibration.
-`order` are the scenes whose found objects come in the order of their true heights; 0.1 mm apart is no order.
+`order` are the scenes whose found objects come in the order of their true heights; 0.1 mm apart is no order. `random`
+is the share of the truths inside the ellipsoid that holds 95 % by the random part of the covariance alone, as it should
+be on L0 and L1, where calibration and poses are right.
 
 Told apart are the objects of which something is hidden, by another one or beyond a picture's border: how many are
 recognised, how far off they are and whether the error was known (`in 95 %`), and how many of the spurious workpieces
@@ -79,6 +81,8 @@ class Found:
     """The true one and the one seen."""
     inside_95: bool | None = None
     """Whether the truth is inside the ellipsoid that holds it in 95 % of the cases; None for unknown shapes."""
+    inside_random_95: bool | None = None
+    """The same with the random part of the covariance alone; None where that is not told apart, too."""
 
     @property
     def near_bound(self) -> bool:
@@ -221,12 +225,18 @@ def _compare(scene: str, one: dict[str, Any], workpiece: Workpiece | None) -> Fo
         yaw_error,
         (float(offset[0]), float(offset[1]), float(offset[2])),
         (one["height_mm"], workpiece.height_mm),
-        None if workpiece.kind == UNKNOWN_KIND else _inside(offset, workpiece),
+        *_inside(offset, workpiece),
     )
 
 
-def _inside(offset_mm: np.ndarray[Any, Any], workpiece: Workpiece) -> bool:
-    return float(offset_mm @ np.linalg.solve(workpiece.covariance_mm2, offset_mm)) <= float(chi2.ppf(0.95, df=3))
+def _inside(offset_mm: np.ndarray[Any, Any], workpiece: Workpiece) -> tuple[bool | None, bool | None]:
+    """Return whether an error is as great as the covariance lets expect, whole and with its random part alone."""
+    if workpiece.kind == UNKNOWN_KIND:
+        return None, None
+    whole, systematic = workpiece.covariance_mm2, workpiece.systematic_mm2
+    known = [whole] if systematic is None else [whole, whole - systematic]
+    inside = [float(offset_mm @ np.linalg.solve(one, offset_mm)) <= float(chi2.ppf(0.95, df=3)) for one in known]
+    return inside[0], None if systematic is None else inside[1]
 
 
 def evaluate(
@@ -280,6 +290,9 @@ def summary(results: Sequence[SceneResult]) -> dict[str, float | int]:
         "yaw_error_mean_deg": _mean(yaws),
         "yaw_error_max_deg": float(yaws.max(initial=0.0)),
         "inside_95_share": _mean(np.array([one.inside_95 for one in seen if one.inside_95 is not None], dtype=float)),
+        "inside_random_95_share": _mean(
+            np.array([one.inside_random_95 for one in seen if one.inside_random_95 is not None], dtype=float)
+        ),
         "in_order": sum(result.in_order for result in results),
         "near_bound_share": _mean(np.array([one.near_bound for one in objects], dtype=float)),
         "partly_hidden": len(hidden),
@@ -332,7 +345,8 @@ def main() -> None:
     names = sorted({result.scene.split("/", maxsplit=1)[0] for result in results})
     print(
         f"{'set':<6}{'found':>9}{'spurious':>9}{'kind ok':>8}{'mean mm':>9}{'median':>8}{'max':>8}"
-        f"{'height':>8}{'yaw deg':>8}{'max':>7}{'in 95 %':>9}{'bound':>8}{'in 3 CR':>9}{'order':>8}{'ms':>6}"
+        f"{'height':>8}{'yaw deg':>8}{'max':>7}{'in 95 %':>9}{'random':>9}{'bound':>8}{'in 3 CR':>9}{'order':>8}"
+        f"{'ms':>6}"
     )
     for name in [*names, "all"]:
         row = summary([result for result in results if name in {"all", result.scene.split("/", maxsplit=1)[0]}])
@@ -340,7 +354,8 @@ def main() -> None:
             f"{name:<6}{row['found']:>5}/{row['objects']:<3}{row['spurious']:>9}{row['kind_right']:>8}"
             f"{row['error_mean_mm']:>9.3f}{row['error_median_mm']:>8.3f}{row['error_max_mm']:>8.2f}"
             f"{row['height_error_mean_mm']:>8.3f}{row['yaw_error_mean_deg']:>8.2f}{row['yaw_error_max_deg']:>7.2f}"
-            f"{100.0 * row['inside_95_share']:>7.1f} %{row['bound_median_mm']:>8.3f}"
+            f"{100.0 * row['inside_95_share']:>7.1f} %{100.0 * row['inside_random_95_share']:>7.1f} %"
+            f"{row['bound_median_mm']:>8.3f}"
             f"{100.0 * row['near_bound_share']:>7.1f} %{row['in_order']:>5}/{row['scenes']:<2}"
             f"{row['milliseconds']:>6.0f}"
         )

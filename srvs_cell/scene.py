@@ -139,7 +139,8 @@ class Workpiece:
         height_mm: highest point above the table.
         yaw_deg: direction of the long side from base x towards base y, modulo 180; None for cylinder and prism.
         size_mm: footprint's (length, width); a prism's (across corners, across flats).
-        covariance_mm2: 3x3 of ``position_mm``.
+        covariance_mm2: 3x3 of ``position_mm``, random and systematic; of an unknown part of the place of what was seen
+            of it, which need not be the middle of its top.
         footprint_mm: convex polygon on the table, shape (N, 2).
         surfaces: ids of the surfaces that it is made of.
         grasp: how to take it; None where it cannot be taken, with ``grasp_refusal``.
@@ -148,6 +149,9 @@ class Workpiece:
             is level, and for an object of several faces.
         brightness: median grey value of the top face (of several the largest) in the left image, 0 to 255; None where
             it was not measured.
+        systematic_mm2: the part of ``covariance_mm2`` that calibration and poses cause, 3x3: it does not average out,
+            and most of it is the same for all that is seen in one look; the rest is random. None where the two were not
+            told apart.
     """
 
     id: int
@@ -163,6 +167,7 @@ class Workpiece:
     grasp_refusal: str = ""
     rise_deg: float | None = None
     brightness: float | None = None
+    systematic_mm2: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

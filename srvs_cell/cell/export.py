@@ -4,38 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from srvs_cell.vision import workpiece_to_json
+
 if TYPE_CHECKING:
     from srvs_cell.planning import CellPlan
     from srvs_cell.ports import RobotStatus
     from srvs_cell.scene import Workpiece
 
 Json = dict[str, Any]
+_DECIMALS = 4
 
 
 def workpiece_json(workpiece: Workpiece) -> Json:
-    """Return a workpiece with the keys of ``perceive --json``, and its grasp."""
-    grasp = workpiece.grasp
-    return {
-        "id": workpiece.id,
-        "kind": workpiece.kind,
-        "position_mm": _rounded(workpiece.position_mm),
-        "height_mm": round(workpiece.height_mm, 3),
-        "yaw_deg": None if workpiece.yaw_deg is None else round(workpiece.yaw_deg, 3),
-        "rise_deg": None if workpiece.rise_deg is None else round(workpiece.rise_deg, 3),
-        "size_mm": _rounded(workpiece.size_mm),
-        "brightness": workpiece.brightness,
-        "covariance_mm2": [_rounded(row) for row in workpiece.covariance_mm2],
-        "footprint_mm": [_rounded(point) for point in workpiece.footprint_mm],
-        "surfaces": list(workpiece.surfaces),
-        "grasp": None
-        if grasp is None
-        else {
-            "position_mm": _rounded(grasp.position_mm),
-            "yaw_deg": round(grasp.yaw_deg, 3),
-            "opening_mm": round(grasp.opening_mm, 3),
-        },
-        "grasp_refusal": workpiece.grasp_refusal,
-    }
+    """Return a workpiece with the keys of ``perceive --json``, rounded."""
+    return {key: _shortened(value) for key, value in workpiece_to_json(workpiece).items()}
 
 
 def plan_list(plan: CellPlan) -> list[list[int]]:
@@ -90,5 +72,16 @@ def status_json(status: RobotStatus, now_s: float) -> Json:
     }
 
 
+def _shortened(value: Any) -> Any:
+    """Return a plain value with each of its fractions rounded."""
+    if isinstance(value, float):
+        return round(float(value), _DECIMALS)
+    if isinstance(value, list):
+        return [_shortened(one) for one in value]
+    if isinstance(value, dict):
+        return {key: _shortened(one) for key, one in value.items()}
+    return value
+
+
 def _rounded(values: Any) -> list[float]:
-    return [round(float(value), 4) for value in values]
+    return [round(float(value), _DECIMALS) for value in values]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srvs_cell.geometry import Transform
-    from srvs_cell.scene import Perception
+    from srvs_cell.scene import Perception, TableCheck, Workpiece
     from srvs_cell.vision import StereoView, VisionParameters
     from srvs_cell.vision.lines import LinePerception
     from srvs_cell.vision.recognition import ObjectKind
@@ -268,11 +268,42 @@ def _show(perception: Perception) -> None:
         typer.echo(
             f"{len(perception.ambiguous_planes)} left unmatched because they are ambiguous, at x, y px: {places}"
         )
+    if perception.table is not None:
+        typer.echo(f"table: {_correction(perception.table)}")
     for workpiece in perception.workpieces:
-        position = ", ".join(f"{value:.1f}" for value in workpiece.position_mm)
-        yaw = "" if workpiece.yaw_deg is None else f", yaw {workpiece.yaw_deg:.1f} deg"
-        grey = "" if workpiece.brightness is None else f", brightness {workpiece.brightness:.0f}"
-        typer.echo(
-            f"{workpiece.id}: {workpiece.kind} at ({position}) mm, height {workpiece.height_mm:.1f} mm{yaw}{grey}"
-        )
+        typer.echo(f"{workpiece.id}: {_described(workpiece)}")
     typer.echo(f"{sum(perception.timings_ms.values()):.0f} ms")
+
+
+def _correction(table: TableCheck) -> str:
+    """Return what the table corrected, or why it did not."""
+    if table.refusal:
+        return f"corrects nothing, {table.refusal}"
+    moved = ", ".join(f"{value:.2f}" for value in table.correction_mm)
+    return f"corrects places in the middle of its picture by ({moved}) mm"
+
+
+def _described(workpiece: Workpiece) -> str:
+    """Return where a workpiece is, how surely, and how it is taken, or why not."""
+    position = ", ".join(f"{value:.1f}" for value in workpiece.position_mm)
+    yaw = "" if workpiece.yaw_deg is None else f", yaw {workpiece.yaw_deg:.1f} deg"
+    grey = "" if workpiece.brightness is None else f", brightness {workpiece.brightness:.0f}"
+    grasp = workpiece.grasp
+    taken = (
+        f"no grasp: {workpiece.grasp_refusal}"
+        if grasp is None
+        else f"grasp closes to {grasp.opening_mm:.1f} mm at {grasp.yaw_deg:.1f} deg"
+    )
+    place = f"{workpiece.kind} at ({position}) mm, sigma {_sigmas(workpiece)}, height {workpiece.height_mm:.1f} mm"
+    return f"{place}{yaw}{grey}; {taken}"
+
+
+def _sigmas(workpiece: Workpiece) -> str:
+    """Return the standard deviations of a workpiece's place, and of them the random part."""
+    whole, systematic = workpiece.covariance_mm2, workpiece.systematic_mm2
+    told = f"({_roots(whole)}) mm"
+    return told if systematic is None else f"{told}, random ({_roots(whole - systematic)}) mm"
+
+
+def _roots(covariance_mm2: NDArray[np.float64]) -> str:
+    return ", ".join(f"{value**0.5:.2f}" for value in covariance_mm2.diagonal())

@@ -34,7 +34,8 @@ def perception_to_json(perception: Perception, *, calibrated: bool = True) -> di
 
 
 def workpiece_to_json(workpiece: Workpiece) -> dict[str, Any]:
-    """Return a workpiece as plain values; millimetres and degrees in the base frame."""
+    """Return a workpiece with its grasp as plain values; millimetres and degrees in the base frame."""
+    grasp = workpiece.grasp
     return {
         "id": workpiece.id,
         "kind": workpiece.kind,
@@ -45,7 +46,17 @@ def workpiece_to_json(workpiece: Workpiece) -> dict[str, Any]:
         "size_mm": list(workpiece.size_mm),
         "brightness": workpiece.brightness,
         "covariance_mm2": workpiece.covariance_mm2.tolist(),
+        "systematic_mm2": None if workpiece.systematic_mm2 is None else workpiece.systematic_mm2.tolist(),
+        "footprint_mm": workpiece.footprint_mm.tolist(),
         "surfaces": list(workpiece.surfaces),
+        "grasp": None
+        if grasp is None
+        else {
+            "position_mm": list(grasp.position_mm),
+            "yaw_deg": grasp.yaw_deg,
+            "opening_mm": grasp.opening_mm,
+        },
+        "grasp_refusal": workpiece.grasp_refusal,
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path  # noqa: TC003 - pytest's fixtures
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,10 @@ import typer
 from typer.testing import CliRunner
 
 from srvs_cell.alarms import Alarm, AlarmError
-from srvs_cell.cli.see import register
+from srvs_cell.cli.see import _correction, register
+from srvs_cell.geometry import Transform, Xyzwpr
+from srvs_cell.scene import TableCheck
+from tests.vision.painted import TABLE_Z_MM, cuboid, paint, rig
 from tests.vision.pictures import render, square
 
 if TYPE_CHECKING:
@@ -24,6 +28,7 @@ schema_version: 1
 camera: {width: 220, height: 160, fx: 400.0, fy: 400.0, cx: 110.0, cy: 80.0, distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}
 tcp_T_camera: {xyz_mm: [0.0, 0.0, 0.0], wpr_deg: [0.0, 0.0, 0.0]}
 """
+OF_THE_PAINTER = "640, height: 480, fx: 800.0, fy: 800.0, cx: 321.0, cy: 238.0"
 LEFT_POSE, RIGHT_POSE = "500,0,500,180,0,0", "530,0,500,180,0,0"
 
 
@@ -110,6 +115,38 @@ def test_with_calibration_there_are_workpieces(pair: tuple[Path, Path], tmp_path
     # d = f b / Z = 28.4 px is Z = 422.5 mm below a camera at 500 mm
     highest = max(report["workpieces"], key=lambda workpiece: workpiece["height_mm"])
     assert highest["height_mm"] == pytest.approx(500.0 - 400.0 * 30.0 / 28.4, abs=4.0)
+
+
+def test_people_are_told_how_sure_each_place_is_how_it_is_taken_and_what_the_table_told(tmp_path: Path) -> None:
+    cameras = rig()
+    parts = [cuboid(470.0, 100.0, 60.0, 20.0, (50.0, 30.0), 200), cuboid(540.0, 10.0, 60.0, 20.0, (95.0, 90.0), 200)]
+    paths = tmp_path / "left.png", tmp_path / "right.png"
+    for path, image in zip(paths, paint(parts, cameras), strict=True):
+        cv2.imwrite(str(path), image)
+    calibration = tmp_path / "cal.yaml"
+    calibration.write_text(
+        CALIBRATION.replace("220, height: 160, fx: 400.0, fy: 400.0, cx: 110.0, cy: 80.0", OF_THE_PAINTER),
+        encoding="utf-8",
+    )
+    left = cameras.base_T_camera
+    to_right = Xyzwpr(cameras.baseline_mm, 0.0, 0.0, 0.0, 0.0, 0.0)
+    right = left @ Transform.from_xyzwpr("camera_left", "camera_right", to_right)
+    poses = [",".join(f"{value:.9g}" for value in pose.to_xyzwpr().as_tuple()) for pose in (left, right)]
+    where = ["--calibration", calibration, "--left-pose", poses[0], "--right-pose", poses[1], "--table-z", TABLE_Z_MM]
+    result = run(*paths, *where)
+    assert result.exit_code == 0, result.exception
+    # the painted table is blank
+    assert re.search(r"^table: corrects nothing, the table shows too little: ", result.stdout, re.MULTILINE)
+    sigmas = r"sigma \(0\.\d\d, 0\.\d\d, \d\.\d\d\) mm, random \(0\.0\d, 0\.0\d, 0\.\d\d\) mm, height"
+    taken = r"grasp closes to (29|30)\.\d mm at (109|110)\.\d deg$"
+    assert re.search(
+        rf"cuboid at \(4(69|70)\.\d, (99|100)\.\d, 6\d\.\d\) mm, {sigmas}.*; {taken}", result.stdout, re.MULTILINE
+    )
+    assert re.search(rf"cuboid at \(5.* mm, {sigmas}.*; no grasp: too wide: ", result.stdout, re.MULTILINE)
+
+
+def test_people_are_told_by_how_much_the_table_corrects() -> None:
+    assert _correction(TableCheck(90, 0.2, 0.1, 0.01, (0.123, -4.0, 5.678))).endswith("by (0.12, -4.00, 5.68) mm")
 
 
 @pytest.mark.parametrize("pose", ["1,2,3", "1,2,3,4,5,six", "1,2,3,4,5,nan", ""])

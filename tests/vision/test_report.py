@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from srvs_cell.scene import Perception, Plane, PlaneImage, PlaneMatch, Workpiece
+from srvs_cell.scene import Grasp, Perception, Plane, PlaneImage, PlaneMatch, Workpiece
 from srvs_cell.vision import perception_to_json
 
 PLANE = Plane(3, (10.5, 20.25), 400.0, 80.0, 9.5, 14.0, 120.0, (0, 0, 20, 20), touches_border=False)
@@ -66,10 +66,24 @@ def test_the_keys_are_those_of_the_contract() -> None:
             "size_mm": [30.0, 30.0],
             "brightness": 131.0,
             "covariance_mm2": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            "systematic_mm2": None,
+            "footprint_mm": [[0.0, 0.0]] * 4,
             "surfaces": [3],
+            "grasp": None,
+            "grasp_refusal": "test",
         }
     ]
     assert report["timings_ms"] == {"edges": 1.5}
+
+
+def test_grasp_and_the_systematic_part_of_the_covariance_are_told() -> None:
+    known = replace(
+        WORKPIECE, grasp=Grasp((1.0, 2.0, -9.0), 45.0, 30.0), grasp_refusal="", systematic_mm2=0.5 * np.eye(3)
+    )
+    (told,) = json.loads(json.dumps(perception_to_json(replace(PERCEPTION, workpieces=(known,)))))["workpieces"]
+    assert told["grasp"] == {"position_mm": [1.0, 2.0, -9.0], "yaw_deg": 45.0, "opening_mm": 30.0}
+    assert told["grasp_refusal"] == ""
+    assert told["systematic_mm2"] == [[0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]]
 
 
 def test_without_calibration_there_are_no_workpieces() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,20 @@ def test_a_grasp_beside_every_middle_misses(at_mm: float, off: int) -> None:
     objects = [stands_at(0.0), stands_at(100.0)]
     judged = judge("L1/000", [seen_at(at_mm), seen_at(100.0 + at_mm, grasped=False)], objects)
     assert (judged.grasps, judged.grasps_off) == (1, off)
+
+
+@pytest.mark.parametrize(("at_mm", "inside"), [(0.5, (True, True)), (2.0, (True, False)), (4.0, (False, False))])
+def test_the_random_part_of_a_covariance_is_judged_alone(at_mm: float, inside: tuple[bool, bool]) -> None:
+    # standard deviations of 1 mm, 0.4 mm of it random
+    workpiece = replace(seen_at(at_mm), systematic_mm2=0.84 * np.eye(3))
+    (one,) = judge("L1/000", [workpiece], [stands_at(0.0)]).objects
+    assert (one.inside_95, one.inside_random_95) == inside
+
+
+@pytest.mark.parametrize(("kind", "inside"), [("cuboid", True), (UNKNOWN_KIND, None)])
+def test_what_is_not_told_apart_or_unknown_is_not_judged(kind: str, *, inside: bool | None) -> None:
+    (one,) = judge("L1/000", [seen_at(0.5, kind=kind)], [stands_at(0.0)]).objects
+    assert (one.inside_95, one.inside_random_95) == (inside, None)
 
 
 def test_an_empty_table_has_no_grasps() -> None:

@@ -39,7 +39,14 @@ from srvs_cell.vision.recognition.tops import (
     share_out,
 )
 from srvs_cell.vision.recognition.verification import verify_tops
-from srvs_cell.vision.recognition.workpieces import CUT_OFF, IN_NO_LIBRARY, make_workpiece, measure_face, unrecognised
+from srvs_cell.vision.recognition.workpieces import (
+    CUT_OFF,
+    IN_NO_LIBRARY,
+    corrected,
+    make_workpiece,
+    measure_face,
+    unrecognised,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -135,12 +142,20 @@ def recognise(
         add_tops([surface for surface in matched if rises(outline_px(surface, rig))], tops, evidence)
         tops, unseen = verify_tops(tops, planes, relief, evidence)
     tops, others = share_out(matched, tops, rig, table_z_mm)
-    unknown = [(surface, IN_NO_LIBRARY) for surface in others if relief is None and _rises(surface, table_z_mm, limits)]
+    unknown = [
+        (surface, rig.error_budget.systematic_mm2(surface.centre_mm), _brightness(surface, left, rig), IN_NO_LIBRARY)
+        for surface in others
+        if relief is None and _rises(surface, table_z_mm, limits)
+    ]
     explained = explained_polygons(tops, rig, table_z_mm)
     if relief is not None:
         regions = rising_regions(unseen, explained, left.grey.shape)
         unknown += [
-            (surface, CUT_OFF if is_cut_off(region, relief) else IN_NO_LIBRARY)
+            (
+                *corrected(surface, rig, reference),
+                _brightness(surface, left, rig),
+                CUT_OFF if is_cut_off(region, relief) else IN_NO_LIBRARY,
+            )
             for region, surface in zip(regions, place_unknown(regions, relief, evidence), strict=True)
             if surface is not None
         ]
@@ -150,11 +165,15 @@ def recognise(
         for group in group_faces([one.face for one in faces], table_z_mm, kinds)
     ]
     workpieces += [
-        unrecognised(surface, table_z_mm, face_brightness(surface.outline_mm, left.grey, rig), refusal)
-        for surface, refusal in unknown
+        unrecognised(surface, systematic_mm2, table_z_mm, brightness, refusal)
+        for surface, systematic_mm2, brightness, refusal in unknown
     ]
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
+
+
+def _brightness(surface: Surface, left: PlaneImage, rig: RectifiedRig) -> float | None:
+    return face_brightness(surface.outline_mm, left.grey, rig)
 
 
 def _plan_area_mm2(surface: Surface) -> float:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from srvs_cell.calibration import TableReference
     from srvs_cell.geometry import Array
-    from srvs_cell.scene import Surface
+    from srvs_cell.scene import Point3, Surface
     from srvs_cell.vision.recognition.grasping import GraspParameters
     from srvs_cell.vision.recognition.kind_matching import FaceGroup
     from srvs_cell.vision.recognition.tops import Top
@@ -36,6 +36,9 @@ CUT_OFF = "the picture's border cuts it off"
 _HALF_TURN_DEG = 180.0
 _DOUBT_FACTOR = 6.0
 """Standard deviation that an edge misfit of a pixel more than the sure one adds, pixels."""
+_LEAST_SIGMA_PX = 0.08
+"""No face is known better across the line of sight, however many pixels tell of it: what they share (how a border is
+sampled, what the model of it leaves out) does not average out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +48,14 @@ class MeasuredFace:
     Attributes:
         face: its long side is its length.
         covariance_mm2: 3x3 of its centre, random and systematic.
+        systematic_mm2: the systematic part of it.
         surfaces: ids of the surfaces that belong to its object.
         brightness: its grey value in the left image, 0 to 255; None where it was not measured.
     """
 
     face: Face
     covariance_mm2: Array
+    systematic_mm2: Array
     surfaces: tuple[int, ...]
     brightness: float | None
 
@@ -60,18 +65,38 @@ def measure_face(
 ) -> MeasuredFace:
     """Return the face of a top, corrected where the table told how."""
     face = _long_side_first(top.fit.face)
-    centre = (face.x_mm, face.y_mm, face.z_mm)
-    if reference is None:
-        systematic = rig.error_budget.systematic_mm2(centre)
-    else:
-        correction_mm, systematic = reference.at(centre)
-        x_mm, y_mm, z_mm = (float(value) for value in centre + correction_mm)
-        face = replace(face, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
+    correction_mm, systematic_mm2 = _correction((face.x_mm, face.y_mm, face.z_mm), rig, reference)
+    x_mm, y_mm, z_mm = (float(value) for value in np.array((face.x_mm, face.y_mm, face.z_mm)) + correction_mm)
+    face = replace(face, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
     mm_per_px = (rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
     # edges that do not fit are another face's or a shadow's, and may have moved a side by some times their misfit
     doubt_mm = _DOUBT_FACTOR * max(0.0, top.fit.rms_px - SURE_RMS_PX) * float(mm_per_px)
-    covariance_mm2 = top.fit.covariance_mm2 + systematic + np.eye(3) * doubt_mm**2
-    return MeasuredFace(face, covariance_mm2, top.surfaces, face_brightness(top.fit.face.corners_mm(), grey, rig))
+    doubt_mm2 = doubt_mm**2 + (_LEAST_SIGMA_PX * float(mm_per_px)) ** 2
+    covariance_mm2 = top.fit.covariance_mm2 + systematic_mm2 + np.eye(3) * doubt_mm2
+    brightness = face_brightness(top.fit.face.corners_mm(), grey, rig)
+    return MeasuredFace(face, covariance_mm2, systematic_mm2, top.surfaces, brightness)
+
+
+def corrected(surface: Surface, rig: RectifiedRig, reference: TableReference | None) -> tuple[Surface, Array]:
+    """Return a surface that was placed without systematic errors, corrected and as unsure as those make it, and them.
+
+    Args:
+        surface: its covariance is random alone.
+        rig: the rectified cameras.
+        reference: corrects what calibration and poses misplace; None corrects nothing.
+
+    Returns:
+        The surface, and the systematic part of its covariance, 3x3.
+    """
+    correction_mm, systematic_mm2 = _correction(surface.centre_mm, rig, reference)
+    x_mm, y_mm, z_mm = (float(value) for value in np.array(surface.centre_mm) + correction_mm)
+    moved = replace(
+        surface,
+        centre_mm=(x_mm, y_mm, z_mm),
+        outline_mm=surface.outline_mm + correction_mm,
+        covariance_mm2=surface.covariance_mm2 + systematic_mm2,
+    )
+    return moved, systematic_mm2
 
 
 def make_workpiece(
@@ -90,7 +115,8 @@ def make_workpiece(
     corners = np.concatenate([one.face.corners_mm() for one in members])
     footprint = corners[:, :2] if len(members) == 1 else _hull(corners)
     # the faces of an object share their errors but for the edges' noise: the least sure one speaks for all
-    covariance = max((one.covariance_mm2 for one in members), key=lambda matrix: float(np.trace(matrix)))
+    unsure = max(members, key=lambda one: float(np.trace(one.covariance_mm2)))
+    covariance = unsure.covariance_mm2
     if group.kind is None:
         grasp, refusal = None, IN_NO_LIBRARY
     elif len(members) == 1:
@@ -111,11 +137,22 @@ def make_workpiece(
         grasp_refusal=refusal,
         rise_deg=body.rise_deg,
         brightness=max(members, key=lambda one: one.face.length_mm * one.face.width_mm).brightness,
+        systematic_mm2=unsure.systematic_mm2,
     )
 
 
-def unrecognised(surface: Surface, table_z_mm: float, brightness: float | None, refusal: str) -> Workpiece:
-    """Return what stands there where a surface is no top face that could be measured; ``refusal``: of a grasp."""
+def unrecognised(
+    surface: Surface, systematic_mm2: Array, table_z_mm: float, brightness: float | None, refusal: str
+) -> Workpiece:
+    """Return what stands there where a surface is no top face that could be measured.
+
+    Args:
+        surface: what is seen of it.
+        systematic_mm2: the systematic part of its covariance, 3x3.
+        table_z_mm: height of the table, base frame.
+        brightness: its grey value in the left image; None where it was not measured.
+        refusal: why there is no grasp.
+    """
     hull = cv2.convexHull(surface.outline_mm[:, :2].astype(np.float32))
     _, (length_mm, width_mm), angle_deg = cv2.minAreaRect(hull)
     if width_mm > length_mm:
@@ -133,7 +170,15 @@ def unrecognised(surface: Surface, table_z_mm: float, brightness: float | None, 
         grasp=None,
         grasp_refusal=refusal,
         brightness=brightness,
+        systematic_mm2=systematic_mm2,
     )
+
+
+def _correction(point_mm: Point3, rig: RectifiedRig, reference: TableReference | None) -> tuple[Array, Array]:
+    """Return what the table adds to a point, shape (3,), and what calibration and poses make it unsure by, 3x3."""
+    if reference is None:
+        return np.zeros(3), rig.error_budget.systematic_mm2(point_mm)
+    return reference.at(point_mm)
 
 
 def _long_side_first(face: Face) -> Face:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from srvs_cell.calibration import TableReference
 from srvs_cell.geometry import wrap_angle_deg
 from srvs_cell.scene import UNKNOWN_KIND, PlaneImage, Workpiece
 from srvs_cell.vision.faces.face import Face, Figure
@@ -30,7 +31,7 @@ def see(parts: list[Part], parameters: RecognitionParameters | None = None) -> t
     return recognise(surfaces_from_matches(left, matches, cameras), left, right, cameras, TABLE_Z_MM, parameters)
 
 
-def see_at(at_px: tuple[float, float]) -> tuple[Part, Workpiece]:
+def see_at(at_px: tuple[float, float], reference: TableReference | None = None) -> tuple[Part, Workpiece]:
     """Return a cuboid whose top has its middle at a pixel of the left picture, and the one workpiece seen."""
     cameras = rig()
     a, b, c = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), TABLE_Z_MM + 60.0)
@@ -41,7 +42,7 @@ def see_at(at_px: tuple[float, float]) -> tuple[Part, Workpiece]:
     everywhere = np.ones(left.grey.shape, dtype=np.bool_)
     pair = RectifiedPair(left.grey, right.grey, everywhere, everywhere, cameras)
     relief = measure_relief(pair, GreyPair.of(left.grey, right.grey), TABLE_Z_MM, None)
-    (workpiece,) = recognise((), left, right, cameras, TABLE_Z_MM, relief=relief)
+    (workpiece,) = recognise((), left, right, cameras, TABLE_Z_MM, reference=reference, relief=relief)
     return part, workpiece
 
 
@@ -96,7 +97,10 @@ def test_covariance_is_that_of_the_error_budget_or_more(seen: tuple[Workpiece, .
     for workpiece in seen:
         assert np.allclose(workpiece.covariance_mm2, workpiece.covariance_mm2.T)
         systematic = rig().error_budget.systematic_mm2(workpiece.position_mm)
-        assert np.linalg.eigvalsh(workpiece.covariance_mm2 - systematic).min() > -1e-9
+        assert workpiece.systematic_mm2 == pytest.approx(systematic)
+        # across the line of sight no part is claimed to be known to less than 0.08 px
+        mm_per_px = (rig().base_T_camera.translation_mm[2] - workpiece.position_mm[2]) / rig().f_px
+        assert np.linalg.eigvalsh(workpiece.covariance_mm2 - systematic).min() > (0.079 * mm_per_px) ** 2
         sigma_z = float(np.sqrt(workpiece.covariance_mm2[2, 2]))
         assert 0.5 < sigma_z < 3.0
 
@@ -161,6 +165,24 @@ def test_what_a_picture_cuts_off_is_no_smaller_part_and_told_to_be_cut_off(
     _, workpiece = see_at(at_px)
     assert workpiece.kind == (UNKNOWN_KIND if cut_off else "cuboid")
     assert ("border cuts it off" in workpiece.grasp_refusal) is cut_off
+
+
+@pytest.mark.parametrize(("at_px", "kind"), [((10.0, 240.0), UNKNOWN_KIND), ((320.0, 240.0), "cuboid")])
+def test_the_table_corrects_what_is_known_and_what_is_unknown(at_px: tuple[float, float], kind: str) -> None:
+    cameras = rig()
+    unmeasured = TableReference.unmeasured(cameras.error_budget, (cameras.cx_px, cameras.cy_px), TABLE_Z_MM, (640, 480))
+    # each of the errors half as large as expected
+    reference = replace(unmeasured, errors=0.5 * np.sqrt(np.diag(unmeasured.covariance)))
+    _, plain = see_at(at_px)
+    _, told = see_at(at_px, reference)
+    assert plain.kind == told.kind == kind
+    correction_mm, systematic_mm2 = reference.at(plain.position_mm)
+    assert np.linalg.norm(correction_mm) > 0.3
+    assert np.array(told.position_mm) - plain.position_mm == pytest.approx(correction_mm)
+    assert told.systematic_mm2 == pytest.approx(systematic_mm2)
+    assert plain.systematic_mm2 is not None
+    random_mm2 = plain.covariance_mm2 - plain.systematic_mm2
+    assert told.covariance_mm2 - systematic_mm2 == pytest.approx(random_mm2, abs=2e-5)
 
 
 @pytest.mark.parametrize("x_px", [60.0, 75.0])
