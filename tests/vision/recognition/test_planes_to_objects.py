@@ -179,6 +179,9 @@ def test_the_table_corrects_what_is_known_and_what_is_unknown(at_px: tuple[float
     correction_mm, systematic_mm2 = reference.at(plain.position_mm)
     assert np.linalg.norm(correction_mm) > 0.3
     assert np.array(told.position_mm) - plain.position_mm == pytest.approx(correction_mm)
+    # outlines are single precision
+    moved_mm = told.footprint_mm.max(axis=0) - plain.footprint_mm.max(axis=0)
+    assert moved_mm == pytest.approx(correction_mm[:2], abs=1e-3)
     assert told.systematic_mm2 == pytest.approx(systematic_mm2)
     assert plain.systematic_mm2 is not None
     random_mm2 = plain.covariance_mm2 - plain.systematic_mm2
