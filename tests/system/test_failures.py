@@ -106,6 +106,8 @@ def test_killed_in_mid_plan_it_sends_no_move_again_and_plans_anew_after_a_person
         assert client.read("history")["history"], "the journal lost what it had"
         assert not client.command("command/start")["accepted"]
         assert not client.command("command/clear")["accepted"], "the operator has not said what the gripper holds"
+        # before it is connected nobody can ask its sensor, and a person's word is all there is
+        follow(restarted, lambda status: status["devices"]["gripper"]["lifecycle"] != "disconnected")
         assert not client.command("resolve", {"gripper": "empty"})["accepted"], (
             "the gripper's own sensor says otherwise"
         )

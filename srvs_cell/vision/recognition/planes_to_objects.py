@@ -143,7 +143,13 @@ def recognise(
         tops, unseen = verify_tops(tops, planes, relief, evidence)
     tops, others = share_out(matched, tops, rig, table_z_mm)
     unknown = [
-        (surface, rig.error_budget.systematic_mm2(surface.centre_mm), _brightness(surface, left, rig), IN_NO_LIBRARY)
+        unrecognised(
+            surface,
+            rig.error_budget.systematic_mm2(surface.centre_mm),
+            table_z_mm,
+            _brightness(surface, left, rig),
+            IN_NO_LIBRARY,
+        )
         for surface in others
         if relief is None and _rises(surface, table_z_mm, limits)
     ]
@@ -151,8 +157,9 @@ def recognise(
     if relief is not None:
         regions = rising_regions(unseen, explained, left.grey.shape)
         unknown += [
-            (
+            unrecognised(
                 *corrected(surface, rig, reference),
+                table_z_mm,
                 _brightness(surface, left, rig),
                 CUT_OFF if is_cut_off(region, relief) else IN_NO_LIBRARY,
             )
@@ -164,10 +171,7 @@ def recognise(
         make_workpiece(group, faces, table_z_mm, limits.grasp)
         for group in group_faces([one.face for one in faces], table_z_mm, kinds)
     ]
-    workpieces += [
-        unrecognised(surface, systematic_mm2, table_z_mm, brightness, refusal)
-        for surface, systematic_mm2, brightness, refusal in unknown
-    ]
+    workpieces += unknown
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
 
