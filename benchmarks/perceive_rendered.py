@@ -289,22 +289,25 @@ def summary(results: Sequence[SceneResult]) -> dict[str, float | int]:
         "height_error_mean_mm": _mean(heights),
         "yaw_error_mean_deg": _mean(yaws),
         "yaw_error_max_deg": float(yaws.max(initial=0.0)),
-        "inside_95_share": _mean(np.array([one.inside_95 for one in seen if one.inside_95 is not None], dtype=float)),
-        "inside_random_95_share": _mean(
-            np.array([one.inside_random_95 for one in seen if one.inside_random_95 is not None], dtype=float)
-        ),
+        "inside_95_share": _share([one.inside_95 for one in seen]),
+        "inside_random_95_share": _share([one.inside_random_95 for one in seen]),
         "in_order": sum(result.in_order for result in results),
-        "near_bound_share": _mean(np.array([one.near_bound for one in objects], dtype=float)),
+        "near_bound_share": _share([one.near_bound for one in objects]),
         "partly_hidden": len(hidden),
         "partly_hidden_recognised": len(recognised),
         "partly_hidden_error_mean_mm": _mean(np.array([one.error_mm for one in recognised])),
-        "partly_hidden_inside_95_share": _mean(np.array([one.inside_95 for one in recognised], dtype=float)),
+        "partly_hidden_inside_95_share": _share([one.inside_95 for one in recognised]),
         "pieces": sum(result.pieces for result in results),
         "grasps": sum(result.grasps for result in results),
         "grasps_off": sum(result.grasps_off for result in results),
         "bound_median_mm": float(np.median([one.bound_mm for one in objects])) if objects else float("nan"),
         "milliseconds": _mean(np.array([result.milliseconds for result in results if not result.refusal])),
     }
+
+
+def _share(judged: Sequence[bool | None]) -> float:
+    """Return the share of what holds among what was judged."""
+    return _mean(np.array([one for one in judged if one is not None], dtype=float))
 
 
 def _mean(values: np.ndarray[Any, Any]) -> float:

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from srvs_cell.geometry import Array
     from srvs_cell.scene import PlaneImage, Surface, Workpiece
     from srvs_cell.vision.recognition.kinds import ObjectKind
+    from srvs_cell.vision.recognition.recovery import Region
     from srvs_cell.vision.recognition.tops import Top
     from srvs_cell.vision.rectification import RectifiedRig
     from srvs_cell.vision.relief import Relief
@@ -142,23 +143,25 @@ def recognise(
         add_tops([surface for surface in matched if rises(outline_px(surface, rig))], tops, evidence)
         tops, unseen = verify_tops(tops, planes, relief, evidence)
     tops, others = share_out(matched, tops, rig, table_z_mm)
-    unknown = [
-        unrecognised(
-            surface,
-            rig.error_budget.systematic_mm2(surface.centre_mm),
-            table_z_mm,
-            _brightness(surface, left, rig),
-            IN_NO_LIBRARY,
-        )
-        for surface in others
-        if relief is None and _rises(surface, table_z_mm, limits)
-    ]
-    explained = explained_polygons(tops, rig, table_z_mm)
-    if relief is not None:
-        regions = rising_regions(unseen, explained, left.grey.shape)
-        unknown += [
+    rising = [surface for surface in others if _rises(surface, table_z_mm, limits)]
+    if relief is None:
+        unknown = [
+            unrecognised(
+                surface,
+                rig.error_budget.systematic_mm2(surface.centre_mm),
+                (surface.id,),
+                table_z_mm,
+                _brightness(surface, left, rig),
+                IN_NO_LIBRARY,
+            )
+            for surface in rising
+        ]
+    else:
+        regions = rising_regions(unseen, explained_polygons(tops, rig, table_z_mm), left.grey.shape)
+        unknown = [
             unrecognised(
                 *corrected(surface, rig, reference),
+                _lying_in(region, rising, rig),
                 table_z_mm,
                 _brightness(surface, left, rig),
                 CUT_OFF if is_cut_off(region, relief) else IN_NO_LIBRARY,
@@ -174,6 +177,12 @@ def recognise(
     workpieces += unknown
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
+
+
+def _lying_in(region: Region, surfaces: Iterable[Surface], rig: RectifiedRig) -> tuple[int, ...]:
+    """Return the ids of the surfaces whose middle lies in a region of the left image."""
+    middles = ((surface.id, *rig.project_px(np.array(surface.centre_mm))) for surface in surfaces)
+    return tuple(id_ for id_, x, y, _ in middles if region.holds(float(x), float(y)))
 
 
 def _brightness(surface: Surface, left: PlaneImage, rig: RectifiedRig) -> float | None:

@@ -70,6 +70,12 @@ class Region:
         hull = cv2.convexHull(np.concatenate(contours)).reshape(-1, 2)
         return np.asarray(hull + np.array(self.corner_px), dtype=np.float32)
 
+    def holds(self, x_px: float, y_px: float) -> bool:
+        """Whether a place of the image lies in the region."""
+        column, row = round(x_px) - self.corner_px[0], round(y_px) - self.corner_px[1]
+        height, width = self.mask.shape
+        return 0 <= row < height and 0 <= column < width and bool(self.mask[row, column])
+
     @cached_property
     def centre_px(self) -> tuple[float, float]:
         """Mean pixel position."""

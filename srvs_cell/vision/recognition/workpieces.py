@@ -65,8 +65,7 @@ def measure_face(
 ) -> MeasuredFace:
     """Return the face of a top, corrected where the table told how."""
     face = _long_side_first(top.fit.face)
-    correction_mm, systematic_mm2 = _correction((face.x_mm, face.y_mm, face.z_mm), rig, reference)
-    x_mm, y_mm, z_mm = (float(value) for value in np.array((face.x_mm, face.y_mm, face.z_mm)) + correction_mm)
+    (x_mm, y_mm, z_mm), systematic_mm2 = _corrected_point((face.x_mm, face.y_mm, face.z_mm), rig, reference)
     face = replace(face, x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
     mm_per_px = (rig.base_T_camera.translation_mm[2] - face.z_mm) / rig.f_px
     # edges that do not fit are another face's or a shadow's, and may have moved a side by some times their misfit
@@ -88,12 +87,11 @@ def corrected(surface: Surface, rig: RectifiedRig, reference: TableReference | N
     Returns:
         The surface, and the systematic part of its covariance, 3x3.
     """
-    correction_mm, systematic_mm2 = _correction(surface.centre_mm, rig, reference)
-    x_mm, y_mm, z_mm = (float(value) for value in np.array(surface.centre_mm) + correction_mm)
+    centre_mm, systematic_mm2 = _corrected_point(surface.centre_mm, rig, reference)
     moved = replace(
         surface,
-        centre_mm=(x_mm, y_mm, z_mm),
-        outline_mm=surface.outline_mm + correction_mm,
+        centre_mm=centre_mm,
+        outline_mm=surface.outline_mm + np.subtract(centre_mm, surface.centre_mm),
         covariance_mm2=surface.covariance_mm2 + systematic_mm2,
     )
     return moved, systematic_mm2
@@ -142,13 +140,19 @@ def make_workpiece(
 
 
 def unrecognised(
-    surface: Surface, systematic_mm2: Array, table_z_mm: float, brightness: float | None, refusal: str
+    surface: Surface,
+    systematic_mm2: Array,
+    surfaces: tuple[int, ...],
+    table_z_mm: float,
+    brightness: float | None,
+    refusal: str,
 ) -> Workpiece:
     """Return what stands there where a surface is no top face that could be measured.
 
     Args:
         surface: what is seen of it.
         systematic_mm2: the systematic part of its covariance, 3x3.
+        surfaces: ids of the matched surfaces that belong to it.
         table_z_mm: height of the table, base frame.
         brightness: its grey value in the left image; None where it was not measured.
         refusal: why there is no grasp.
@@ -166,7 +170,7 @@ def unrecognised(
         size_mm=(float(length_mm), float(width_mm)),
         covariance_mm2=surface.covariance_mm2,
         footprint_mm=hull.reshape(-1, 2).astype(np.float64),
-        surfaces=(surface.id,),
+        surfaces=surfaces,
         grasp=None,
         grasp_refusal=refusal,
         brightness=brightness,
@@ -174,11 +178,13 @@ def unrecognised(
     )
 
 
-def _correction(point_mm: Point3, rig: RectifiedRig, reference: TableReference | None) -> tuple[Array, Array]:
-    """Return what the table adds to a point, shape (3,), and what calibration and poses make it unsure by, 3x3."""
+def _corrected_point(point_mm: Point3, rig: RectifiedRig, reference: TableReference | None) -> tuple[Point3, Array]:
+    """Return where the table puts a point, and what calibration and poses make it unsure by, 3x3."""
     if reference is None:
-        return np.zeros(3), rig.error_budget.systematic_mm2(point_mm)
-    return reference.at(point_mm)
+        return point_mm, rig.error_budget.systematic_mm2(point_mm)
+    correction_mm, systematic_mm2 = reference.at(point_mm)
+    x_mm, y_mm, z_mm = (float(value) for value in np.array(point_mm) + correction_mm)
+    return (x_mm, y_mm, z_mm), systematic_mm2
 
 
 def _long_side_first(face: Face) -> Face:

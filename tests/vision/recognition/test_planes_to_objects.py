@@ -31,18 +31,21 @@ def see(parts: list[Part], parameters: RecognitionParameters | None = None) -> t
     return recognise(surfaces_from_matches(left, matches, cameras), left, right, cameras, TABLE_Z_MM, parameters)
 
 
-def see_at(at_px: tuple[float, float], reference: TableReference | None = None) -> tuple[Part, Workpiece]:
+def see_at(
+    at_px: tuple[float, float], reference: TableReference | None = None, *, matched: bool = False
+) -> tuple[Part, Workpiece]:
     """Return a cuboid whose top has its middle at a pixel of the left picture, and the one workpiece seen."""
     cameras = rig()
     a, b, c = cameras.plane_disparity(np.array([0.0, 0.0, 1.0]), TABLE_Z_MM + 60.0)
     x, y = at_px
     x_mm, y_mm, _ = cameras.points_mm(np.array([x]), np.array([y]), np.array([a * x + b * y + c]))[0]
     part = cuboid(float(x_mm), float(y_mm), 60.0, 30.0, (50.0, 36.0), 200)
-    left, right, _ = planes([part], cameras, paint([part], cameras), disparity_noise_px=0.0)
+    left, right, matches = planes([part], cameras, paint([part], cameras), disparity_noise_px=0.0)
     everywhere = np.ones(left.grey.shape, dtype=np.bool_)
     pair = RectifiedPair(left.grey, right.grey, everywhere, everywhere, cameras)
     relief = measure_relief(pair, GreyPair.of(left.grey, right.grey), TABLE_Z_MM, None)
-    (workpiece,) = recognise((), left, right, cameras, TABLE_Z_MM, reference=reference, relief=relief)
+    surfaces = surfaces_from_matches(left, matches, cameras) if matched else ()
+    (workpiece,) = recognise(surfaces, left, right, cameras, TABLE_Z_MM, reference=reference, relief=relief)
     return part, workpiece
 
 
@@ -165,6 +168,15 @@ def test_what_a_picture_cuts_off_is_no_smaller_part_and_told_to_be_cut_off(
     _, workpiece = see_at(at_px)
     assert workpiece.kind == (UNKNOWN_KIND if cut_off else "cuboid")
     assert ("border cuts it off" in workpiece.grasp_refusal) is cut_off
+
+
+@pytest.mark.parametrize(("matched", "surfaces"), [(False, ()), (True, (1,))])
+def test_what_is_unknown_is_told_with_the_planes_that_were_matched_there(
+    surfaces: tuple[int, ...], *, matched: bool
+) -> None:
+    _, workpiece = see_at((300.0, 470.0), matched=matched)
+    assert workpiece.kind == UNKNOWN_KIND
+    assert workpiece.surfaces == surfaces
 
 
 @pytest.mark.parametrize(("at_px", "kind"), [((10.0, 240.0), UNKNOWN_KIND), ((320.0, 240.0), "cuboid")])

@@ -119,3 +119,21 @@ def test_what_reaches_to_where_a_picture_ends_is_cut_off(left: int, top: int, *,
     valid[:, :20] = False
     region = Region(NO_PLANE, np.ones((10, 10), dtype=np.bool_), (left, top))
     assert is_cut_off(region, Relief(np.zeros_like(valid), 1.0, valid)) is cut_off
+
+
+@pytest.mark.parametrize(
+    ("at_px", "held"),
+    [
+        ((10.0, 20.0), True),
+        ((12.4, 21.4), True),
+        # the corner that is missing
+        ((12.0, 20.0), False),
+        ((9.4, 20.0), False),
+        ((10.0, 19.4), False),
+        ((12.6, 21.0), False),
+        ((10.0, 21.6), False),
+    ],
+)
+def test_a_region_holds_its_own_pixels_alone(at_px: tuple[float, float], *, held: bool) -> None:
+    mask = np.array([[True, True, False], [True, True, True]])
+    assert Region(NO_PLANE, mask, (10, 20)).holds(*at_px) is held
