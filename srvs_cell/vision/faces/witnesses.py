@@ -13,6 +13,7 @@ import numpy as np
 
 from srvs_cell.vision.faces.edge_fit import SETTLE, fit_faces
 from srvs_cell.vision.faces.face import share_place
+from srvs_cell.vision.faces.glance import shares_on_edges
 from srvs_cell.vision.faces.inner_texture import inner_displacements
 from srvs_cell.vision.faces.other_sides import other_rectangles
 from srvs_cell.vision.faces.profile_fit import fit_profiles
@@ -50,6 +51,8 @@ _ALL_SEEN = 0.85
 """Grey values that see less of an outline, a side less, do not speak against a figure that fits well."""
 SIDE_UNSEEN = 0.77
 """Where neither fit sees more of an outline, nobody knows where one side is."""
+_LEAST_SHARE, _LEAST_OF_BEST = 0.6, 0.65
+"""Share of a spanned face's outline on edges, and that over the best face's, below which no fit was ever believed."""
 _LOST_RMS_PX = 2.0
 """Where the edges fit worse they are another border's, and the face is not there."""
 _DOUBTFUL_PX2 = 0.2
@@ -243,7 +246,13 @@ class Bench:
         return fit_faces(faces, inclined, self.fields, self.rig, SETTLE, self.min_gradient)
 
     def from_lines(self, faces: Sequence[Face], max_rms_px: float) -> list[Witnesses]:
-        """Fit faces that lines span to the edges and to the grey values; those that suit both, the best first."""
+        """Fit faces that lines span to the edges and to the grey values; those that suit both, the best first.
+
+        Lines that belong to different things span faces that have too few edges to be worth a fit.
+        """
+        shares = shares_on_edges(faces, self.fields, self.rig)
+        least = max(_LEAST_SHARE, _LEAST_OF_BEST * shares.max(initial=0.0))
+        faces = [face for face, share in zip(faces, shares, strict=True) if share >= least]
         fitted = [
             (face, fit)
             for face, fit in zip(faces, self.by_edges(faces), strict=True)
