@@ -139,3 +139,8 @@ def test_a_quick_command_refuses_what_a_plain_one_refuses(
     monkeypatch.setattr(operate, "QuickCommand", TyperCommand)
     assert main.run(["alarms", *arguments]) == 2
     assert capsys.readouterr().err == quick
+
+
+def test_the_package_runs_as_a_module() -> None:
+    done = subprocess.run([sys.executable, "-m", "srvs_cell", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == __version__
