@@ -67,6 +67,9 @@ def perceive_command(
     method: Annotated[
         Method, typer.Option(help="What is matched; lines are the paper's baseline and make no workpieces.")
     ] = Method.PLANES,
+    faithful: Annotated[
+        bool, typer.Option("--faithful", help="The paper's steps alone: every gain beyond them is switched off.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Extract and match planes; with calibration and poses also recognise workpieces and place them."""
@@ -74,6 +77,8 @@ def perceive_command(
     import time  # noqa: PLC0415 - as above
 
     parameters, table_z_mm, kinds = _parameters(config, library, min_disparity, max_disparity)
+    if faithful:
+        parameters = parameters.as_the_paper()
     poses = [_pose(text, option) for text, option in ((left_pose, "--left-pose"), (right_pose, "--right-pose"))]
     view = _view(calibration, poses, table_z if table_z is not None else table_z_mm, parameters)
     images = _read_image(left_file), _read_image(right_file)

@@ -205,6 +205,7 @@ def fill_rows(
     labels: NDArray[np.int32],
     pair: tuple[Plane, Plane],
     ends: tuple[RowEnds, RowEnds],
+    possible_px: tuple[float, float],
 ) -> None:
     """Write the paper's row by row interpolation into the dense map, in place.
 
@@ -216,6 +217,8 @@ def fill_rows(
         labels: plane ids of the left image.
         pair: the left and the right plane.
         ends: row ends of the left and of the right image.
+        possible_px: least and greatest disparity; the matching's column gate, held against each pixel. Beyond it, or
+            at 0 and less, nothing can be: the row's ends are not those of one face, and the pixel stays unknown.
     """
     (left, right), (ends_left, ends_right) = pair, ends
     x, y, width, height = left.box_px
@@ -225,4 +228,6 @@ def fill_rows(
     first, last = ends_left.first[left.id][rows], ends_left.last[left.id][rows]
     share = (columns - first) / np.maximum(last - first, 1.0)
     matched = ends_right.first[right.id][rows] * (1.0 - share) + ends_right.last[right.id][rows] * share
-    disparity_px[rows, columns] = columns - matched
+    found = columns - matched
+    least, greatest = possible_px
+    disparity_px[rows, columns] = np.where((found > 0.0) & (found >= least) & (found <= greatest), found, np.nan)

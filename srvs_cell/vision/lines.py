@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.vision.edges import extract_edges
 from srvs_cell.vision.line_matching import LineMatches, LineMatchingParameters, match_lines
 from srvs_cell.vision.line_support import LineImage, LineParameters, extract_lines
+from srvs_cell.vision.picture_check import check_pair
 
 # the two methods share the check of the images and the stopwatch
-from srvs_cell.vision.pipeline import _checked, _Steps
+from srvs_cell.vision.pipeline import _Steps, checked_pair
 from srvs_cell.vision.rectification import rectify_pair
 
 if TYPE_CHECKING:
@@ -79,18 +79,17 @@ def perceive_lines(
 
     Raises:
         AlarmError: IMAGE_INVALID where an image is no image, too small, or not of the other's or the calibration's
-            size; BASELINE_INVALID where the poses make no baseline.
+            size; IMAGE_UNUSABLE where it shows nothing; PAIR_INCONSISTENT where both are one picture, or do not show
+            one scene from their poses; BASELINE_INVALID where the poses make no baseline.
     """
     own = baseline or BaselineParameters()
     steps = _Steps(stopwatch)
-    greys = [_checked(left, "left"), _checked(right, "right")]
-    if greys[0].shape != greys[1].shape:
-        sizes = [f"{grey.shape[1]} x {grey.shape[0]}" for grey in greys]
-        raise AlarmError(Alarm.IMAGE_INVALID, f"The left image is {sizes[0]}, the right one {sizes[1]} pixels.")
+    greys = list(checked_pair(left, right))
     disparity_range = (parameters.min_disparity_px, parameters.max_disparity_px)
     valid, rig = None, None
     if view is not None:
         pair = rectify_pair(greys[0], greys[1], view.calibration, view.base_T_tcp_left, view.base_T_tcp_right)
+        check_pair(pair, view.table_z_mm, view.max_height_mm)
         greys, valid, rig = [pair.left, pair.right], (pair.left_valid, pair.right_valid), pair.rig
         height, width = pair.left.shape
         disparity_range = rig.disparity_range(view.table_z_mm, view.table_z_mm + view.max_height_mm, (width, height))

@@ -6,6 +6,7 @@ that is not in the paper.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from typing import Annotated
 
@@ -197,11 +198,17 @@ class VisionParameters:
     @classmethod
     def faithful(cls) -> VisionParameters:
         """Return the paper's own algorithm: whole-pixel ends, maxima over all planes, nothing beyond the paper."""
-        return cls(
-            matching=MatchingParameters(maxima=Maxima.ALL_PLANES, ordered=False),
-            interpolation=InterpolationParameters(sub_pixel=False),
-            refinement=RefinementParameters(enabled=False),
-            grouping=GroupingParameters(enabled=False),
-            dense=DenseParameters(enabled=False),
-            table=TableParameters(enabled=False),
+        return cls().as_the_paper()
+
+    def as_the_paper(self) -> VisionParameters:
+        """Return these parameters with every step beyond the paper switched off; limits stay as they are."""
+        return replace(
+            self,
+            matching=replace(self.matching, maxima=Maxima.ALL_PLANES, ordered=False),
+            interpolation=replace(self.interpolation, sub_pixel=False),
+            refinement=replace(self.refinement, enabled=False),
+            grouping=replace(self.grouping, enabled=False),
+            dense=replace(self.dense, enabled=False),
+            table=replace(self.table, enabled=False),
+            recognition=replace(self.recognition, recover=False),
         )

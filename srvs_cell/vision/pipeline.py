@@ -154,14 +154,7 @@ def perceive(
             one scene from their poses; BASELINE_INVALID where the poses make no baseline.
     """
     steps = _Steps(stopwatch)
-    left_grey, right_grey = _checked(left, "left"), _checked(right, "right")
-    if left_grey.shape != right_grey.shape:
-        raise AlarmError(
-            Alarm.IMAGE_INVALID, f"The left image is {_size(left_grey)}, the right one {_size(right_grey)} pixels."
-        )
-    for grey, name in ((left_grey, "left"), (right_grey, "right")):
-        check_picture(grey, name)
-    check_different(left_grey, right_grey)
+    left_grey, right_grey = checked_pair(left, right)
     pair, valid_left, valid_right, rig = None, None, None, None
     reference, table, relief = None, None, None
     disparity_range = (parameters.min_disparity_px, parameters.max_disparity_px)
@@ -173,11 +166,14 @@ def perceive(
         disparity_range = rig.disparity_range(view.table_z_mm, view.table_z_mm + view.max_height_mm, (width, height))
         steps.done("rectification")
     smoothed = GreyPair.of(left_grey, right_grey)
-    if view is not None and pair is not None and parameters.table.enabled:
-        reference, table = align_table(pair, view.table_z_mm, parameters.table)
-        if table.refusal:
+    if view is not None and pair is not None:
+        if parameters.table.enabled:
+            reference, table = align_table(pair, view.table_z_mm, parameters.table)
+        if table is None or table.refusal:
+            # nothing has shown yet that the pictures belong to the poses
             check_pair(pair, view.table_z_mm, view.max_height_mm)
-        relief = measure_relief(pair, smoothed, view.table_z_mm, reference)
+        if reference is not None:
+            relief = measure_relief(pair, smoothed, view.table_z_mm, reference)
         steps.done("table")
     if early is not None and _usable(early, rig, left_grey):
         left_planes = replace(early.image, grey=left_grey)
@@ -207,6 +203,28 @@ def perceive(
         table,
         ambiguous,
     )
+
+
+def checked_pair(left: Image, right: Image) -> tuple[Image, Image]:
+    """Return both images in grey where something can be seen in them.
+
+    Args:
+        left: uint8, shape (H, W) grey or (H, W, 3) BGR.
+        right: the other image.
+
+    Raises:
+        AlarmError: IMAGE_INVALID where an image is no 8-bit picture, too small, or not of the other's size;
+            IMAGE_UNUSABLE where it shows nothing; PAIR_INCONSISTENT where both are one picture.
+    """
+    left_grey, right_grey = _checked(left, "left"), _checked(right, "right")
+    if left_grey.shape != right_grey.shape:
+        raise AlarmError(
+            Alarm.IMAGE_INVALID, f"The left image is {_size(left_grey)}, the right one {_size(right_grey)} pixels."
+        )
+    for grey, name in ((left_grey, "left"), (right_grey, "right")):
+        check_picture(grey, name)
+    check_different(left_grey, right_grey)
+    return left_grey, right_grey
 
 
 def _checked(image: Image, name: str) -> Image:
@@ -299,12 +317,17 @@ def _match(
         grouping = group_surfaces(left, right, matches, pair, parameters, valid)
         steps.done("grouping")
     disparity_px = np.full(left.grey.shape, np.nan, dtype=np.float32)
+    # a plane that was aligned or joined is not where its rows' ends say any more
+    by_rows = not (parameters.interpolation.sub_pixel or parameters.refinement.enabled or parameters.grouping.enabled)
+    low, high = disparity_range_px
+    margin = parameters.matching.max_column_margin_px
     for match in grouping.matches:
         plane = grouping.left.planes[match.left - 1]
-        if parameters.interpolation.sub_pixel:
-            fill_plane(disparity_px, grouping.left.labels, plane, match.disparity_plane)
+        if by_rows:
+            pair_of_planes = plane, right.planes[match.right - 1]
+            fill_rows(disparity_px, left.labels, pair_of_planes, ends, (max(low - margin, 0.0), high + margin))
         else:
-            fill_rows(disparity_px, left.labels, (plane, right.planes[match.right - 1]), ends)
+            fill_plane(disparity_px, grouping.left.labels, plane, match.disparity_plane)
     steps.done("interpolation")
     if grouping.surfaces and parameters.dense.enabled:
         images = (left.grey, right.grey)

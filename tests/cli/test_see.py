@@ -188,3 +188,10 @@ def test_a_broken_calibration_is_named(pair: tuple[Path, Path], tmp_path: Path) 
 def test_a_place_that_cannot_be_written_is_named(pair: tuple[Path, Path], tmp_path: Path) -> None:
     result = run(*pair, "--disparity", tmp_path / "nowhere" / "d.pfm")
     assert alarm_of(result) is Alarm.FILE_INVALID
+
+
+def test_faithful_takes_the_papers_steps_alone(pair: tuple[Path, Path]) -> None:
+    asked = (*pair, "--min-disparity", 15, "--max-disparity", 40, "--json")
+    timings = [json.loads(run(*asked, *more).stdout)["timings_ms"] for more in ((), ("--faithful",))]
+    assert {"refinement", "grouping"} <= set(timings[0])
+    assert not {"refinement", "grouping"} & set(timings[1])

@@ -75,8 +75,26 @@ def test_pixels_between_the_ends_correspond_linearly() -> None:
         return RowEnds(firsts, lasts, table, table)
 
     disparity = np.full(labels.shape, np.nan, dtype=np.float32)
-    fill_rows(disparity, labels, (plane, plane), (ends(10.0, 20.0), ends(4.0, 12.0)))
+    fill_rows(disparity, labels, (plane, plane), (ends(10.0, 20.0), ends(4.0, 12.0)), (0.0, 64.0))
     assert disparity[1, 10] == pytest.approx(6.0)
     assert disparity[1, 15] == pytest.approx(7.0)
     assert disparity[1, 20] == pytest.approx(8.0)
     assert np.isfinite(disparity).sum() == 11
+
+
+def test_pixels_whose_correspondence_is_impossible_stay_unknown() -> None:
+    labels = np.zeros((4, 30), dtype=np.int32)
+    labels[1, 10:21] = 1
+    plane = Plane(1, (15.0, 1.0), 11.0, 24.0, 1.0, 5.0, 100.0, (10, 1, 11, 1), touches_border=False)
+
+    def ends(first: float, last: float) -> RowEnds:
+        table = np.full((2, 4), np.nan)
+        firsts, lasts = table.copy(), table.copy()
+        firsts[1, 1], lasts[1, 1] = first, last
+        return RowEnds(firsts, lasts, table, table)
+
+    disparity = np.full(labels.shape, np.nan, dtype=np.float32)
+    # the right row reaches beyond the left one: disparities from +5 to -5
+    fill_rows(disparity, labels, (plane, plane), (ends(10.0, 20.0), ends(5.0, 25.0)), (0.0, 3.0))
+    assert disparity[1, 12:15].tolist() == pytest.approx([3.0, 2.0, 1.0])
+    assert np.isfinite(disparity).sum() == 3

@@ -154,14 +154,23 @@ def test_with_calibration_the_ends_have_places_in_the_base_frame() -> None:
     assert "ends_mm" in lines_to_json(perception)["matches"][0]
 
 
-def test_nothing_to_see_is_no_trouble() -> None:
-    blank = np.full((60, 80), 90, dtype=np.uint8)
-    perception = perceive_lines(blank, blank, PARAMETERS)
-    assert len(perception.matches) == 0
+def test_pictures_without_a_line_are_no_trouble() -> None:
+    soft = np.broadcast_to(np.linspace(90.0, 110.0, 220), (160, 220)).astype(np.uint8)
+    perception = perceive_lines(soft, soft + np.uint8(1), PARAMETERS)
+    assert len(perception.left) == len(perception.matches) == 0
     assert np.isnan(line_disparity_map(perception)).all()
     assert draw_line_matches(perception).dtype == np.uint8
     left, _ = render([square(110.0, 80.0, 60.0, 160.0, 20.4)])
-    assert len(perceive_lines(left, np.full_like(left, 90), PARAMETERS).matches) == 0
+    assert len(perceive_lines(left, soft, PARAMETERS).matches) == 0
+
+
+def test_blank_pictures_are_refused() -> None:
+    left, _ = render([square(110.0, 80.0, 60.0, 160.0, 20.4)])
+    blank = np.full_like(left, 90)
+    for one, other in ((blank, blank), (left, blank), (blank, left)):
+        with pytest.raises(AlarmError) as caught:
+            perceive_lines(one, other, PARAMETERS)
+        assert caught.value.alarm is Alarm.IMAGE_UNUSABLE
 
 
 def test_images_of_different_size_are_refused() -> None:

@@ -15,6 +15,7 @@ from drivers.sim.parts import CYLINDER
 from srvs_cell.alarms import Alarm, AlarmError
 from srvs_cell.geometry import Transform
 from srvs_cell.vision import StereoView, VisionParameters, perceive
+from srvs_cell.vision.lines import perceive_lines
 from srvs_cell.vision.picture_check import check_pair, check_picture
 from srvs_cell.vision.rectification import RectifiedPair, rectify_pair
 from tests.vision.painted import SIZE, TABLE_Z_MM, rig
@@ -68,6 +69,38 @@ def test_a_real_picture_passes_darkened_noisy_and_half_overexposed(scene: Scene)
     noise = np.random.default_rng(0).normal(0.0, 12.0, left.shape)
     for picture in (left, 0.1 * left, left + noise, 2.5 * left):
         check_picture(np.clip(picture, 0, 255).astype(np.uint8), "left")
+
+
+def degenerate(scene: Scene) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8], Alarm]]:
+    """Return pictures that show no scene from their poses, and the alarm that says so."""
+    left, right, _ = scene
+    blank = np.full_like(left, 90)
+    white = tuple(np.clip(8.0 * image, 0, 255).astype(np.uint8) for image in (left, right))
+    noise = np.random.default_rng(3).integers(0, 256, (2, *left.shape), dtype=np.uint8)
+    return {
+        "blank": (blank, blank + 1, Alarm.IMAGE_UNUSABLE),
+        "saturated": (white[0], white[1], Alarm.IMAGE_UNUSABLE),
+        "noise": (noise[0], noise[1], Alarm.IMAGE_UNUSABLE),
+        "identical": (left, left, Alarm.PAIR_INCONSISTENT),
+        "exchanged": (right, left, Alarm.PAIR_INCONSISTENT),
+    }
+
+
+@pytest.mark.parametrize("what", ["blank", "saturated", "noise", "identical", "exchanged"])
+def test_the_papers_steps_and_the_lines_refuse_what_the_default_refuses(scene: Scene, what: str) -> None:
+    left, right, alarm = degenerate(scene)[what]
+    view = scene[2]
+    with pytest.raises(AlarmError) as of_planes:
+        perceive(left, right, VisionParameters.faithful(), view=view)
+    with pytest.raises(AlarmError) as of_lines:
+        perceive_lines(left, right, VisionParameters(), view=view)
+    assert of_planes.value.alarm is of_lines.value.alarm is refusal((left, right, view)).alarm is alarm
+
+
+def test_the_papers_steps_and_the_lines_see_what_can_be_seen(scene: Scene) -> None:
+    left, right, view = scene
+    assert perceive(left, right, VisionParameters.faithful(), view=view).matches
+    assert len(perceive_lines(left, right, VisionParameters(), view=view).matches)
 
 
 def test_a_good_pair_passes_at_any_brightness(scene: Scene) -> None:

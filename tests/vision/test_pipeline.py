@@ -50,6 +50,27 @@ def test_the_paper_alone_finds_the_faces_to_a_pixel() -> None:
     assert disparity(perception, 60, 120) == pytest.approx(13.4, abs=1.0)
 
 
+def test_the_paper_alone_has_every_switch_beyond_it_off_and_keeps_the_limits() -> None:
+    own = replace(VisionParameters(), recognition=replace(VisionParameters().recognition, max_height_mm=90.0))
+    paper = own.as_the_paper()
+    assert paper.recognition == replace(own.recognition, recover=False)
+    assert not paper.table.enabled
+    assert VisionParameters.faithful() == VisionParameters().as_the_paper()
+
+
+def test_without_sub_pixels_joined_regions_have_their_surface_in_the_map() -> None:
+    label = square(60.0, 45.0, 16.0, 60.0, 18.25, angle_deg=12.0)
+    coarse = replace(PARAMETERS, interpolation=replace(PARAMETERS.interpolation, sub_pixel=False))
+    perception = perceive(*render([*FACES, label], background=90.0), coarse)
+    assert perception.left.labels[45, 60] == perception.left.labels[32, 52] != 0
+    for x, y in ((60, 45), (45, 45), (75, 45), (60, 30)):
+        assert disparity(perception, x, y) == pytest.approx(18.25, abs=0.5)
+    for match in perception.matches:
+        rows, columns = np.nonzero(perception.left.labels == match.left)
+        a, b, c = match.disparity_plane
+        assert np.allclose(perception.disparity_px[rows, columns], a * columns + b * rows + c, atol=1e-3)
+
+
 def test_print_on_a_face_becomes_part_of_its_plane() -> None:
     label = square(60.0, 45.0, 16.0, 60.0, 18.25, angle_deg=12.0)
     perception = perceive(*render([*FACES, label], background=90.0), PARAMETERS)
