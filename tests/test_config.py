@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -143,6 +144,25 @@ def test_a_buffer_place_must_lie_in_the_workspace(axis: str, bound: int) -> None
     least_mm, greatest_mm = ranges_mm[axis]
     assert f"planning.buffer_places_mm.1 = {outside}" in error.detail
     assert f"cell.workspace.{axis}_mm = {least_mm} to {greatest_mm} mm" in error.detail
+
+
+@pytest.mark.parametrize(
+    ("key", "other", "value"),
+    [
+        ("vision.min_disparity_px", "max_disparity_px", 64.0),
+        ("vision.recognition.min_height_mm", "max_height_mm", 300.0),
+        ("vision.recognition.min_size_mm", "max_size_mm", 160.0),
+        ("vision.recognition.min_inclination_deg", "max_inclination_deg", 60.0),
+        ("vision.recognition.grasp.min_opening_mm", "max_opening_mm", 90.0),
+        ("vision.edges.min_gradient", "max_gradient", 5.0),
+    ],
+)
+def test_a_least_value_above_its_greatest_one_is_refused_with_both(key: str, other: str, value: float) -> None:
+    error = refusal(changed(key, value))
+    section, _, own = key.rpartition(".")
+    assert error.alarm is Alarm.CONFIG_INVALID
+    assert re.search(rf"{section}: {own} = {value:g} is not (less than|at most) {other} = ", error.detail)
+    assert f"lower {own} or raise {other}" in error.detail
 
 
 def test_all_mistakes_are_named_at_once() -> None:

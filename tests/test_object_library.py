@@ -18,6 +18,8 @@ PAGE = (ROOT / "docs" / "reference" / "object-kinds.md").read_text(encoding="utf
 EXAMPLE = next(block for block in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL) if "kinds:" in block)
 BAR = "schema_version: 1\nkinds:\n  - name: bar\n    faces: {top: {outline: rectangle, FACE}}\n"
 KIND = "schema_version: 1\nkinds: [{name: bar, KIND}]\n"
+TOP = "faces: {top: {outline: circle}}"
+HEIGHTS = "faces: {a: {outline: circle, height_mm: [20, 30]}, b: {outline: circle, height_mm: [40, 50]}}"
 TWO = "faces: {a: {outline: circle}, b: {outline: circle}}"
 
 
@@ -62,6 +64,31 @@ def test_the_page_tells_every_key(table: type) -> None:
         (BAR.replace("bar", "b" * 41), "at most 40 characters"),
         (BAR.replace("bar", "unknown").replace(", FACE", ""), "kinds.0: name: 'unknown' is what objects of no kind"),
         (BAR.replace("bar", "cuboid").replace(", FACE", ""), "kinds: the name 'cuboid' is given twice (a built-in"),
+        (
+            "schema_version: 1\nkinds: [{name: bar, " + TOP + "}, {name: rod, " + TOP + "}, {name: bar, " + TOP + "}]",
+            "kinds: the name 'bar' is given twice by kinds.0 and kinds.2; give one of them another name",
+        ),
+        (
+            BAR.replace("FACE", "length_mm: [10, 20], width_mm: [30, 40]"),
+            "length_mm = [10, 20] and width_mm = [30, 40]",
+        ),
+        (BAR.replace("FACE", "length_mm: [90, 99], width_mm: [30, 40], aspect: [1, 2]"), "1 to 2 times its width"),
+        (BAR.replace("rectangle, FACE", "circle, length_mm: [30, 40], width_mm: [50, 60]"), "no circle has both"),
+        (BAR.replace("rectangle, FACE", "circle, aspect: [1.1, 2]"), "aspect = [1.1, 2]: a circle has 1; leave"),
+        (BAR.replace("rectangle, FACE", "hexagon, aspect: [1, 1.1]"), "aspect = [1, 1.1]: a hexagon has 1.155"),
+        (BAR.replace("rectangle, FACE", "hexagon, inclination_deg: [5, 9]"), "a hexagon is only seen level"),
+        (
+            KIND.replace("KIND", HEIGHTS + ", relations: [{between: [a, b], step_mm: [1, 50]}]"),
+            "relations.0.step_mm = [1, 50]: these faces have [-30, -10] by their height_mm",
+        ),
+        (
+            KIND.replace("KIND", TWO + ", relations: [{between: [a, b], angle_deg: [10, 20]}]"),
+            "relations.0.angle_deg = [10, 20]: these faces have [0, 0] by their inclination_deg",
+        ),
+        (
+            KIND.replace("KIND", TWO + ", relations: [{between: [a, b], turn_deg: [10, 20]}]"),
+            "relations.0.turn_deg = [10, 20]: these faces have [0, 0] unless both are rectangles",
+        ),
         (KIND.replace("KIND", "faces: {}"), "kinds.0.faces = {}: Dictionary should have at least 1 item"),
         (KIND.replace("KIND", TWO), "kinds.0: relations: none joins the face 'b' to the others"),
         (KIND.replace("KIND", TWO + ", relations: [{between: [a, c]}]"), "between: no face 'c' (faces: a, b)"),
@@ -116,3 +143,12 @@ def test_the_cells_configuration_names_its_library(tmp_path: Path) -> None:
     config = load_config(cell)
     assert config.object_library == tmp_path / "objects.yaml"
     assert config.load_library().kinds[0].name == "bar"
+
+
+@pytest.mark.parametrize("inclination_deg", ["[1, 4]", "[60, 80]"])
+def test_an_inclination_that_no_face_is_seen_with_is_refused(inclination_deg: str) -> None:
+    library = parse_library(BAR.replace("FACE", f"inclination_deg: {inclination_deg}"), "objects.yaml")
+    with pytest.raises(AlarmError, match="none is in this range") as caught:
+        library.check(RecognitionParameters())
+    assert caught.value.alarm is Alarm.CONFIG_INVALID
+    parse_library(BAR.replace("FACE", "inclination_deg: [0, 4]"), "objects.yaml").check(RecognitionParameters())

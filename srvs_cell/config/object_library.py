@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -58,6 +57,15 @@ class ObjectLibrary:
         heights = ("min_height_mm", limits.min_height_mm), ("max_height_mm", limits.max_height_mm)
         for kind in self.kinds:
             for name, face in kind.faces.items():
+                low_deg, high_deg = limits.min_inclination_deg, limits.max_inclination_deg
+                least, greatest = face.inclination_deg
+                if least > high_deg or 0.0 < least <= greatest < low_deg:
+                    raise AlarmError(
+                        Alarm.CONFIG_INVALID,
+                        f"{self.source}: kind {kind.name}, faces.{name}.inclination_deg = [{least:g}, {greatest:g}]: "
+                        f"a face is level (0) or inclined by {low_deg:g} to {high_deg:g} deg "
+                        "(vision.recognition.min_inclination_deg, max_inclination_deg); none is in this range.",
+                    )
                 for key, bounds in (("length_mm", sizes), ("width_mm", sizes), ("height_mm", heights)):
                     (low_name, low), (high_name, high) = bounds
                     least, greatest = getattr(face, key)
@@ -109,10 +117,16 @@ def parse_library(text: str, source: str) -> ObjectLibrary:
     kinds = file.kinds + (built_in_library().kinds if file.built_in else ())
     if not kinds:
         raise AlarmError(Alarm.CONFIG_INVALID, f"{source}: kinds = []: without built-in kinds nothing is recognised.")
-    for name, count in Counter(kind.name for kind in kinds).items():
-        if count > 1:
-            built_in = " (a built-in kind; built_in: false leaves those out)" if file.built_in else ""
-            raise AlarmError(Alarm.CONFIG_INVALID, f"{source}: kinds: the name {name!r} is given twice{built_in}.")
+    places: dict[str, int] = {}
+    for number, kind in enumerate(kinds):
+        earlier = places.setdefault(kind.name, number)
+        if earlier != number:
+            told = (
+                f"by kinds.{earlier} and kinds.{number}; give one of them another name"
+                if number < len(file.kinds)
+                else f"(a built-in kind has the name of kinds.{earlier}; choose another one, or built_in: false)"
+            )
+            raise AlarmError(Alarm.CONFIG_INVALID, f"{source}: kinds: the name {kind.name!r} is given twice {told}.")
     return ObjectLibrary(source, kinds)
 
 

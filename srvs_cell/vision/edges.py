@@ -12,13 +12,14 @@ Few pixels have a strong gradient: after the threshold only these are looked at,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Self
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass as checked_dataclass
 
+from srvs_cell.vision.limit_pairs import check_pairs
 from srvs_cell.vision.median import median
 from srvs_cell.vision.runs import joined, runs_of, touching_runs
 
@@ -58,6 +59,11 @@ class EdgeParameters:
         float, Field(ge=0.0, le=1.0, description="least share of a region's pixels that vote for it")
     ] = 0.45
     min_length_px: Annotated[float, Field(ge=1.0, le=200.0, description="least length of a line-support region")] = 6.0
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        check_pairs(self, ("min_gradient", "max_gradient"), equal=True)
+        return self
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from srvs_cell.vision.edges import EdgeParameters
+from srvs_cell.vision.limit_pairs import check_pairs
 from srvs_cell.vision.recognition import RecognitionParameters
 from srvs_cell.vision.table_alignment import TableParameters
 
@@ -194,6 +195,11 @@ class VisionParameters:
     table: TableParameters = Field(default_factory=TableParameters)
     dense: DenseParameters = Field(default_factory=DenseParameters)
     recognition: RecognitionParameters = Field(default_factory=RecognitionParameters)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        check_pairs(self, ("min_disparity_px", "max_disparity_px"))
+        return self
 
     @classmethod
     def faithful(cls) -> VisionParameters:

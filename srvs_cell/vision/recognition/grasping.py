@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Self
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from srvs_cell.geometry import wrap_angle_deg
 from srvs_cell.scene import Grasp
 from srvs_cell.vision.faces.face import Figure
+from srvs_cell.vision.limit_pairs import check_pairs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,6 +57,11 @@ class GraspParameters:
     sigmas: Annotated[
         float, Field(gt=0.0, le=10.0, description="how many standard deviations of the position must fit the tolerance")
     ] = 2.0
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        check_pairs(self, ("min_opening_mm", "max_opening_mm"))
+        return self
 
 
 def plan_grasp(

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from srvs_cell.scene import UNKNOWN_KIND
-from srvs_cell.vision.faces.face import Figure
+from srvs_cell.vision.faces.face import HEXAGON_RATIO, Figure
 
 _CONFIG = ConfigDict(extra="forbid")
 MAX_FACES = 4
@@ -41,6 +41,14 @@ _Ratio = Annotated[float, Field(ge=1.0, le=1000.0)]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 
 
+def _shown(limits: tuple[float, float]) -> str:
+    return f"[{limits[0]:g}, {limits[1]:g}]"
+
+
+def _disjoint(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    return one[1] < other[0] or other[1] < one[0]
+
+
 @dataclass(frozen=True, kw_only=True, config=_CONFIG)
 class FacePattern:
     """What one top face of a kind may be. Both ends of a range belong to it."""
@@ -61,6 +69,22 @@ class FacePattern:
         tuple[_Ratio, _Ratio], AfterValidator(_ordered), Field(description="length divided by width; a square has 1")
     ] = (1.0, 1000.0)
     height_mm: Annotated[Lengths, Field(description="highest point of the face above the table")] = (0.0, _MAX_MM)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.outline is not Figure.RECTANGLE and self.inclination_deg[0] > 0.0:
+            raise ValueError(f"inclination_deg: a {self.outline.value} is only seen level; let the range begin at 0")
+        ratio = {Figure.CIRCLE: (1.0, 1.0), Figure.HEXAGON: (1.0 / HEXAGON_RATIO,) * 2}.get(self.outline, self.aspect)
+        low, high = (max(self.aspect[0], ratio[0]), min(self.aspect[1], ratio[1]))
+        if low > high:
+            raise ValueError(f"aspect = {_shown(self.aspect)}: a {self.outline.value} has {ratio[0]:.4g}; leave it out")
+        least, greatest = self.width_mm[0] * low, self.width_mm[1] * high
+        if self.length_mm[1] < least or self.length_mm[0] > greatest:
+            raise ValueError(
+                f"length_mm = {_shown(self.length_mm)} and width_mm = {_shown(self.width_mm)}: no {self.outline.value} "
+                f"has both, its length is {low:.4g} to {high:.4g} times its width; widen one of the ranges"
+            )
+        return self
 
 
 @dataclass(frozen=True, kw_only=True, config=_CONFIG)
@@ -84,6 +108,23 @@ class FaceRelation:
         AfterValidator(_ordered),
         Field(description="angle between the sides of two rectangles seen from above, modulo 90"),
     ] = (0.0, _DIAGONAL_DEG)
+
+
+def _contradiction(relation: FaceRelation, first: FacePattern, second: FacePattern) -> str:
+    """Return which range of a relation the two faces' own ranges exclude, and why; empty where they exclude none."""
+    (low, high), (other_low, other_high) = first.height_mm, second.height_mm
+    steps_mm = (low - other_high, high - other_low)
+    (low, high), (other_low, other_high) = first.inclination_deg, second.inclination_deg
+    angles_deg = (max(0.0, low - other_high, other_low - high), high + other_high)
+    turns_deg = (0.0, _DIAGONAL_DEG if first.outline is second.outline is Figure.RECTANGLE else 0.0)
+    for key, own, possible, cause in (
+        ("step_mm", relation.step_mm, steps_mm, "by their height_mm"),
+        ("angle_deg", relation.angle_deg, angles_deg, "by their inclination_deg"),
+        ("turn_deg", relation.turn_deg, turns_deg, "unless both are rectangles"),
+    ):
+        if _disjoint(own, possible):
+            return f"{key} = {_shown(own)}: these faces have {_shown(possible)} {cause}; let the ranges overlap"
+    return ""
 
 
 @dataclass(frozen=True, kw_only=True, config=_CONFIG)
@@ -112,6 +153,8 @@ class ObjectKind:
                     raise ValueError(f"relations.{number}.between: no face {name!r} (faces: {', '.join(self.faces)})")
             if first == second:
                 raise ValueError(f"relations.{number}.between: {first!r} has no relation to itself")
+            if reason := _contradiction(relation, self.faces[first], self.faces[second]):
+                raise ValueError(f"relations.{number}.{reason}")
         for _ in self.faces:
             joined |= {name for relation in self.relations for name in relation.between if joined & {*relation.between}}
         if apart := [name for name in self.faces if name not in joined]:

@@ -10,13 +10,14 @@ in no library, is reported as unknown with its surfaces.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Self
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass as checked_dataclass
 
+from srvs_cell.vision.limit_pairs import check_pairs
 from srvs_cell.vision.recognition.brightness import face_brightness
 from srvs_cell.vision.recognition.evidence import Evidence
 from srvs_cell.vision.recognition.grasping import GraspParameters
@@ -98,6 +99,16 @@ class RecognitionParameters:
         bool, Field(description="look for planes without a partner by their grey values (beyond the paper)")
     ] = True
     grasp: GraspParameters = Field(default_factory=GraspParameters)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        check_pairs(
+            self,
+            ("min_height_mm", "max_height_mm"),
+            ("min_size_mm", "max_size_mm"),
+            ("min_inclination_deg", "max_inclination_deg"),
+        )
+        return self
 
 
 def recognise(
