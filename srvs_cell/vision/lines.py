@@ -17,7 +17,7 @@ from srvs_cell.vision.line_support import LineImage, LineParameters, extract_lin
 from srvs_cell.vision.picture_check import check_pair
 
 # the two methods share the check of the images and the stopwatch
-from srvs_cell.vision.pipeline import _Steps, checked_pair
+from srvs_cell.vision.pipeline import _Steps, before_camera, checked_pair
 from srvs_cell.vision.rectification import rectify_pair
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ def perceive_lines(
     valid, rig = None, None
     if view is not None:
         pair = rectify_pair(greys[0], greys[1], view.calibration, view.base_T_tcp_left, view.base_T_tcp_right)
+        view = before_camera(view, pair.rig, pair.left.shape[1], parameters.recognition.min_height_mm)
         check_pair(pair, view.table_z_mm, view.max_height_mm)
         greys, valid, rig = [pair.left, pair.right], (pair.left_valid, pair.right_valid), pair.rig
         height, width = pair.left.shape

@@ -65,7 +65,8 @@ class StereoView:
         calibration: intrinsics and hand-eye.
         base_T_tcp_left, base_T_tcp_right: reported poses.
         table_z_mm: height of the table in the base frame.
-        max_height_mm: greatest height of a part above the table: it bounds the disparity.
+        max_height_mm: greatest height of a part above the table: it bounds the disparity. What is more than both
+            cameras can see below them counts as that.
     """
 
     calibration: Calibration
@@ -162,6 +163,9 @@ def perceive(
         pair = rectify_pair(left_grey, right_grey, view.calibration, view.base_T_tcp_left, view.base_T_tcp_right)
         left_grey, right_grey, rig = pair.left, pair.right, pair.rig
         valid_left, valid_right = pair.left_valid, pair.right_valid
+        view = before_camera(view, rig, left_grey.shape[1], parameters.recognition.min_height_mm)
+        highest_mm = min(parameters.recognition.max_height_mm, visible_height_mm(view, rig, left_grey.shape[1]))
+        parameters = replace(parameters, recognition=replace(parameters.recognition, max_height_mm=highest_mm))
         height, width = left_grey.shape
         disparity_range = rig.disparity_range(view.table_z_mm, view.table_z_mm + view.max_height_mm, (width, height))
         steps.done("rectification")
@@ -203,6 +207,36 @@ def perceive(
         table,
         ambiguous,
     )
+
+
+def visible_height_mm(view: StereoView, rig: RectifiedRig, width_px: int) -> float:
+    """Return the height over the table above which the two cameras have nothing in common: disparity is the width."""
+    nearest_mm = rig.f_px * rig.baseline_mm / width_px
+    return float(rig.base_T_camera.translation_mm[2]) - nearest_mm - view.table_z_mm
+
+
+def before_camera(view: StereoView, rig: RectifiedRig, width_px: int, min_height_mm: float) -> StereoView:
+    """Return the view with no greater height of parts than both cameras can see.
+
+    A greater one is no mistake of the integrator: it says that the parts do not bound what is looked for.
+
+    Args:
+        view: where the images were taken from.
+        rig: the rectified cameras.
+        width_px: of the rectified images.
+        min_height_mm: least height of a part above the table.
+
+    Raises:
+        AlarmError: PAIR_INCONSISTENT where no part on the table could be seen at all.
+    """
+    visible_mm = visible_height_mm(view, rig, width_px)
+    if visible_mm <= min_height_mm:
+        raise AlarmError(
+            Alarm.PAIR_INCONSISTENT,
+            f"By its poses the camera is {rig.base_T_camera.translation_mm[2]:.0f} mm high, the table "
+            f"{view.table_z_mm:.0f} mm: nothing that stands there is in both pictures. Check poses and table height.",
+        )
+    return replace(view, max_height_mm=min(view.max_height_mm, visible_mm))
 
 
 def checked_pair(left: Image, right: Image) -> tuple[Image, Image]:

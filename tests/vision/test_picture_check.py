@@ -216,3 +216,27 @@ def test_poses_that_make_no_baseline_are_refused(scene: Scene) -> None:
     assert refusal((left, right, replace(view, base_T_tcp_right=there))).alarm is Alarm.BASELINE_INVALID
     back = replace(view, base_T_tcp_left=view.base_T_tcp_right, base_T_tcp_right=there)
     assert refusal((left, right, back)).alarm is Alarm.BASELINE_INVALID
+
+
+@pytest.mark.parametrize("beyond_mm", [-30.0, 0.0, 40.0, 1000.0])
+def test_heights_up_to_the_camera_and_beyond_are_what_can_be_seen(scene: Scene, beyond_mm: float) -> None:
+    left, right, view = scene
+    cameras = rectify_pair(left, right, view.calibration, view.base_T_tcp_left, view.base_T_tcp_right).rig
+    up_to_mm = float(cameras.base_T_camera.translation_mm[2]) - view.table_z_mm + beyond_mm
+    limits = VisionParameters()
+    high = replace(limits, recognition=replace(limits.recognition, max_height_mm=up_to_mm))
+    usual = perceive(left, right, limits, view=view).workpieces
+    seen = perceive(left, right, high, view=replace(view, max_height_mm=up_to_mm)).workpieces
+    assert [one.kind for one in seen] == [one.kind for one in usual]
+    assert [one.height_mm for one in seen] == pytest.approx([one.height_mm for one in usual], abs=1.0)
+    assert len(perceive_lines(left, right, high, view=replace(view, max_height_mm=up_to_mm)).matches)
+
+
+def test_a_table_as_high_as_the_camera_is_refused(scene: Scene) -> None:
+    left, right, view = scene
+    cameras = rectify_pair(left, right, view.calibration, view.base_T_tcp_left, view.base_T_tcp_right).rig
+    camera_z_mm = float(cameras.base_T_camera.translation_mm[2])
+    for table_z_mm in (camera_z_mm - 30.0, camera_z_mm, camera_z_mm + 100.0):
+        caught = refusal((left, right, replace(view, table_z_mm=table_z_mm)))
+        assert caught.alarm is Alarm.PAIR_INCONSISTENT
+        assert "nothing that stands there" in caught.detail

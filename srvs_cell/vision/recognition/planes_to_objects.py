@@ -70,7 +70,7 @@ class RecognitionParameters:
         float, Field(gt=0.0, le=500.0, description="what rises less above the table is table, shadow or print")
     ] = 8.0
     max_height_mm: Annotated[
-        float, Field(gt=0.0, le=2000.0, description="what rises more above the table is a false match")
+        float, Field(gt=0.0, le=2000.0, description="what rises more is a false match; at most what both cameras see")
     ] = 200.0
     min_size_mm: Annotated[float, Field(gt=0.0, le=500.0, description="least side of a top face")] = 10.0
     max_size_mm: Annotated[float, Field(gt=0.0, le=2000.0, description="greatest side of a top face")] = 160.0
