@@ -72,12 +72,10 @@ class EdgeImage:
 
     Attributes:
         mask: bool, shape (H, W): pixels of the regions that were kept.
-        gradient: grey values per pixel along x and along y, at (x + 0.5, y + 0.5), each float32, shape (H, W).
         threshold: least gradient of a strong pixel, grey values per pixel.
     """
 
     mask: NDArray[np.bool_]
-    gradient: tuple[NDArray[np.float32], NDArray[np.float32]]
     threshold: float
 
 
@@ -102,7 +100,7 @@ def extract_edges(
         strength = magnitude.ravel()[strong] / np.float32(threshold)
         kept = supported(strong, direction_deg, strength, grey.shape[1], parameters)
         mask.ravel()[strong[kept]] = True
-    return EdgeImage(mask, gradient, threshold)
+    return EdgeImage(mask, threshold)
 
 
 def smooth(grey: NDArray[np.uint8], sigma_px: float) -> NDArray[np.float32]:
