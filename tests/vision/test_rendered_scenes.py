@@ -30,7 +30,7 @@ def test_rendered_scenes_within_honest_bounds() -> None:
 @pytest.mark.slow
 @needs_scenes
 def test_a_wedge_is_told_from_the_cuboid_that_would_be_five_millimetres_lower() -> None:
-    # it is told from one in the third round of asking what else it may be
+    # it is told from one only where what suited better is asked again what else it may be
     results = evaluate(ROOT, ["L2/001"], shaken=range(8))
     assert sum(all(one.seen_kind == one.kind for one in result.objects) for result in results) >= 6
     assert (

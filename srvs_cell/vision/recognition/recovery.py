@@ -44,8 +44,10 @@ _SIGMA_PX = 0.5
 _RISING_SIGMA_PX = 0.6
 """Of a height that only what rises tells: an inclined face has many."""
 _BORDER_PX = 5
-_REACH_PX = 2 * _BORDER_PX + 1
-"""What a picture cut off came within three pixels of where it ends, nearly all else kept away by ten."""
+"""What comes so near to where a picture ends goes on there: what was cut off came within 3, nearly all else kept away
+by 10."""
+_AROUND_PX = 2 * _BORDER_PX + 1
+"""Side of the square that grows a region by as much on every side."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -148,7 +150,7 @@ def place_unknown(regions: Iterable[Region], relief: Relief, evidence: Evidence)
 
 def is_cut_off(region: Region, relief: Relief) -> bool:
     """Whether a region reaches to where one of the two pictures ends: what rises there goes on unseen."""
-    grown = cv2.dilate(np.pad(region.mask, _BORDER_PX).astype(np.uint8), np.ones((_REACH_PX, _REACH_PX), np.uint8))
+    grown = cv2.dilate(np.pad(region.mask, _BORDER_PX).astype(np.uint8), np.ones((_AROUND_PX, _AROUND_PX), np.uint8))
     # what is outside of the picture is not seen
     framed = np.pad(relief.valid, _BORDER_PX)
     x, y = region.corner_px
