@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
     Source = Callable[[list[Array], list[Top]], list[Witnesses]]
 
-_LEAST_SUPPORT = 0.55
-"""What rises is a witness already: a face that explains it may lack more of its outline than others."""
+_LENIENCY = 11.0 / 14.0
+"""What rises is a witness already: of `min_support` so much is enough for a face that explains it (0.55 of 0.7)."""
 _WEDGES = 8
 """So many wedges of which one side rises are fitted thoroughly."""
 _DOUBTED = 2
@@ -124,5 +124,6 @@ class Sources:
     @cached_property
     def _lenient(self) -> Bench:
         """What faces are fitted to that may lack more of their outline."""
-        limits, table_z_mm = replace(self.evidence.limits, min_support=_LEAST_SUPPORT), self.evidence.table_z_mm
+        limits, table_z_mm = self.evidence.limits, self.evidence.table_z_mm
+        limits = replace(limits, min_support=_LENIENCY * limits.min_support)
         return replace(self.bench, possible=lambda fit: is_top(fit, table_z_mm, limits))

@@ -33,6 +33,8 @@ _LEAST_ROWS = 0.4
 """Share of the rows of the shorter line that both lines have."""
 _LEVEL_MM = 6.0
 """Ends of a level border differ less in height: so much is a third of a pixel's disparity."""
+# What borders propose has limits of its own, about those of `RecognitionParameters`' defaults; a proposal must pass the
+# parameters besides, so that these narrow it, and wider ones do not widen what is proposed.
 LEAST_RISE = 0.08
 """Rise per millimetre of what is clearly inclined: five degrees."""
 STEEPEST = 1.2

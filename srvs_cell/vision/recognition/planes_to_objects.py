@@ -73,15 +73,32 @@ class RecognitionParameters:
         float, Field(gt=0.0, le=2000.0, description="what rises more is a false match; at most what both cameras see")
     ] = 200.0
     min_size_mm: Annotated[float, Field(gt=0.0, le=500.0, description="least side of a top face")] = 10.0
-    max_size_mm: Annotated[float, Field(gt=0.0, le=2000.0, description="greatest side of a top face")] = 160.0
+    max_size_mm: Annotated[
+        float,
+        Field(
+            gt=0.0, le=2000.0, description="greatest side of a top face; borders in space propose none longer than 160"
+        ),
+    ] = 160.0
     min_unknown_area_mm2: Annotated[
-        float, Field(gt=0.0, le=1e6, description="least area of a surface that is reported as unknown")
+        float,
+        Field(
+            gt=0.0,
+            le=1e6,
+            description="least area of a matched surface that is reported as unknown or as one of an unknown part's; "
+            "what rises over the table is reported however small its surfaces are",
+        ),
     ] = 200.0
     max_rms_px: Annotated[
         float, Field(gt=0.0, le=3.0, description="greatest distance between a figure and the edges")
     ] = 1.2
     min_support: Annotated[
-        float, Field(gt=0.0, le=1.0, description="least share of a figure's outline that has an edge in both images")
+        float,
+        Field(
+            gt=0.0,
+            le=1.0,
+            description="least share of a figure's outline that has an edge in both images; 11/14 of it for a figure "
+            "that explains what rises",
+        ),
     ] = 0.7
     min_gradient: Annotated[
         float, Field(gt=0.0, le=100.0, description="least gradient of an edge, grey values per pixel")

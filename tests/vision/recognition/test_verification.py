@@ -14,8 +14,9 @@ from srvs_cell.vision.faces.edge_fit import FaceFit
 from srvs_cell.vision.faces.profile_fit import fit_profiles
 from srvs_cell.vision.recognition import RecognitionParameters, recognise
 from srvs_cell.vision.recognition.evidence import Evidence
+from srvs_cell.vision.recognition.face_sources import Sources
 from srvs_cell.vision.recognition.tops import Top
-from srvs_cell.vision.recognition.verification import verify_tops
+from srvs_cell.vision.recognition.verification import _bench_for, verify_tops
 from srvs_cell.vision.rectification import RectifiedPair
 from srvs_cell.vision.refinement import GreyPair
 from srvs_cell.vision.relief import measure_relief
@@ -182,3 +183,18 @@ def test_a_part_that_the_picture_cuts_off_is_not_taken_for_a_whole_one() -> None
     standing, unseen = verified([part], [Top(three_sides, (0,))], cameras)
     assert standing == []
     assert unseen
+
+
+@pytest.mark.parametrize(("min_support", "least"), [(0.7, 0.55), (1.0, 0.786), (0.42, 0.33)])
+def test_what_explains_what_rises_may_lack_more_of_its_outline_the_more_others_may(
+    min_support: float, least: float
+) -> None:
+    left, right = paint([BOX], rig())
+    nothing = np.zeros((SIZE[1], SIZE[0]), np.int32)
+    seen = np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)
+    relief = measure_relief(RectifiedPair(left, right, seen, seen, rig()), GreyPair.of(left, right), TABLE_Z_MM, None)
+    images = (PlaneImage(left, nothing, ()), PlaneImage(right, nothing, ()))
+    evidence = Evidence.of(*images, rig(), TABLE_Z_MM, RecognitionParameters(min_support=min_support))
+    lenient = Sources((), relief, evidence, _bench_for([], evidence, 0.5))._lenient
+    possible = [lenient.possible(FaceFit(BOX.face, 0.01 * np.eye(3), 0.1, least + off)) for off in (0.005, -0.005)]
+    assert possible == [True, False]
