@@ -240,13 +240,17 @@ def _inside(offset_mm: np.ndarray[Any, Any], workpiece: Workpiece) -> tuple[bool
 
 
 def evaluate(
-    folder: Path, scenes: Sequence[str], pictures: Path | None = None, shaken: Sequence[int | None] = (None,)
+    folder: Path,
+    scenes: Sequence[str],
+    pictures: Path | None = None,
+    shaken: Sequence[int | None] = (None,),
+    parameters: VisionParameters | None = None,
 ) -> list[SceneResult]:
     """Perceive and judge scenes (names like ``L0/001``), once for each way they are shaken (see `run_scene`).
 
-    Writes overlays where a folder is given.
+    Writes overlays where a folder is given; ``parameters`` are the defaults where None.
     """
-    parameters = VisionParameters()
+    parameters = parameters or VisionParameters()
     results = []
     for scene, seed in product(scenes, shaken):
         try:

@@ -16,6 +16,7 @@ SCRIPTS: tuple[tuple[str, ...], ...] = (
     ("perceive_middlebury.py",),
     ("perceive_chessboard.py",),
     ("perceive_rendered.py",),
+    ("switches.py",),
     ("alignment_bound.py",),
     ("planes_against_lines.py",),
     ("perception_time.py",),
