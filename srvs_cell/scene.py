@@ -111,12 +111,15 @@ class Grasp:
         position_mm: TCP position of the grasp, base frame.
         yaw_deg: direction of the jaws' closing motion, from base x towards base y, modulo 180.
         opening_mm: distance of the parts of the jaws that touch, when closed on the workpiece.
+        clearance_mm: free room beside the gripped walls, along the closing motion and as wide as a finger's pad: the
+            distance of the nearest other workpiece that is higher than the finger tips; None where there is none.
         others: further grasps of the same workpiece, the next best first; they have no others themselves.
     """
 
     position_mm: Point3
     yaw_deg: float
     opening_mm: float
+    clearance_mm: float | None = None
     others: tuple[Grasp, ...] = ()
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from srvs_cell.scene import Perception, Plane, PlaneMatch, Workpiece
+    from srvs_cell.scene import Grasp, Perception, Plane, PlaneMatch, Workpiece
 
 
 def perception_to_json(perception: Perception, *, calibrated: bool = True) -> dict[str, Any]:
@@ -49,14 +49,17 @@ def workpiece_to_json(workpiece: Workpiece) -> dict[str, Any]:
         "systematic_mm2": None if workpiece.systematic_mm2 is None else workpiece.systematic_mm2.tolist(),
         "footprint_mm": workpiece.footprint_mm.tolist(),
         "surfaces": list(workpiece.surfaces),
-        "grasp": None
-        if grasp is None
-        else {
-            "position_mm": list(grasp.position_mm),
-            "yaw_deg": grasp.yaw_deg,
-            "opening_mm": grasp.opening_mm,
-        },
+        "grasp": None if grasp is None else {**_grasp(grasp), "others": [_grasp(other) for other in grasp.others]},
         "grasp_refusal": workpiece.grasp_refusal,
+    }
+
+
+def _grasp(grasp: Grasp) -> dict[str, Any]:
+    return {
+        "position_mm": list(grasp.position_mm),
+        "yaw_deg": grasp.yaw_deg,
+        "opening_mm": grasp.opening_mm,
+        "clearance_mm": grasp.clearance_mm,
     }
 
 

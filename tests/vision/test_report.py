@@ -77,11 +77,12 @@ def test_the_keys_are_those_of_the_contract() -> None:
 
 
 def test_grasp_and_the_systematic_part_of_the_covariance_are_told() -> None:
-    known = replace(
-        WORKPIECE, grasp=Grasp((1.0, 2.0, -9.0), 45.0, 30.0), grasp_refusal="", systematic_mm2=0.5 * np.eye(3)
-    )
+    other = Grasp((1.0, 2.0, -9.0), 135.0, 30.0)
+    grasp = replace(other, yaw_deg=45.0, clearance_mm=4.5, others=(other,))
+    known = replace(WORKPIECE, grasp=grasp, grasp_refusal="", systematic_mm2=0.5 * np.eye(3))
     (told,) = json.loads(json.dumps(perception_to_json(replace(PERCEPTION, workpieces=(known,)))))["workpieces"]
-    assert told["grasp"] == {"position_mm": [1.0, 2.0, -9.0], "yaw_deg": 45.0, "opening_mm": 30.0}
+    one = {"position_mm": [1.0, 2.0, -9.0], "yaw_deg": 45.0, "opening_mm": 30.0, "clearance_mm": 4.5}
+    assert told["grasp"] == one | {"others": [one | {"yaw_deg": 135.0, "clearance_mm": None}]}
     assert told["grasp_refusal"] == ""
     assert told["systematic_mm2"] == [[0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]]
 

@@ -28,7 +28,7 @@ _FLAT_NORMALS_DEG = (30.0, 90.0, 150.0)
 """From a hexagon's corner to the middles of its flats."""
 _LEVEL_SLOPE = 0.05
 """A face that rises more is gripped in one way only: its other two walls are of different heights."""
-_PAD_MM = 8.0
+PAD_MM = 8.0
 """Half the width of a finger's pad: as far beside its middle it meets a wall, too."""
 _SEAM_MM = 2.0
 """A wall this far from a pad is met: measured outlines do not fit their common rectangle exactly."""
@@ -109,7 +109,7 @@ def plan_joint_grasp(
 
 def _wall_mm(body: Face, faces: Sequence[Face], table_z_mm: float) -> float:
     """Return the height of the lowest wall that pads at both ends of a body's length meet; 0 where there is none."""
-    half = min(1.0, 2.0 * _PAD_MM / body.width_mm)
+    half = min(1.0, 2.0 * PAD_MM / body.width_mm)
     pads = body.place(np.array([(end, across) for end in (-1.0, 1.0) for across in (-half, 0.0, half)]))
     heights = []
     for x_mm, y_mm, _ in pads:

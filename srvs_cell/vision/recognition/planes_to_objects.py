@@ -19,6 +19,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from srvs_cell.vision.limit_pairs import check_pairs
 from srvs_cell.vision.recognition.brightness import face_brightness
+from srvs_cell.vision.recognition.clearances import with_clearances
 from srvs_cell.vision.recognition.evidence import Evidence
 from srvs_cell.vision.recognition.grasping import GraspParameters
 from srvs_cell.vision.recognition.kind_matching import group_faces
@@ -203,6 +204,7 @@ def recognise(
         for group in group_faces([one.face for one in faces], table_z_mm, kinds)
     ]
     workpieces += unknown
+    workpieces = with_clearances(workpieces, table_z_mm)
     workpieces.sort(key=lambda workpiece: -workpiece.height_mm)
     return tuple(replace(workpiece, id=number) for number, workpiece in enumerate(workpieces))
 
