@@ -41,6 +41,8 @@ _STEPS = np.array([1e-6, 1e-3, 1e-3, *[1e-3] * 3, *[1e-6] * 3, *[1e-3] * 3, *[1e
 _GRID = 7
 _REACHES2 = np.array([0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0]) ** 2
 """Squared shares of the claimed sigmas that the errors may really reach."""
+_LEAST_TOLD = 1e-6
+"""Share of its variance that a measurement must take from an error to tell anything of it."""
 _RANDOM_CAUSES = 3
 """The first columns of the error budget's Jacobian: pixel x, pixel y, disparity."""
 
@@ -149,6 +151,16 @@ class TableReference:
         sigmas = _sigmas(self.budget.uncertainty)
         doubtful = sigmas > 0.0
         return float(((self.errors[doubtful] / sigmas[doubtful]) ** 2).sum())
+
+    def worst_sigmas(self) -> float:
+        """Return the largest estimated error over what it should be by chance (Baarda's w-test).
+
+        By chance an estimate scatters by the variance that the measurement took from it.
+        """
+        before = _sigmas(self.budget.uncertainty) ** 2
+        told = before - np.diag(self.covariance)
+        shown = told > _LEAST_TOLD * before
+        return float((np.abs(self.errors[shown]) / np.sqrt(told[shown])).max(initial=0.0))
 
     def doubted(self, surprise: float) -> Self:
         """Return the same with the doubt that a surprise asks for, where the errors themselves cannot be told.

@@ -69,6 +69,9 @@ class TableParameters:
         float,
         Field(gt=0.0, le=1e6, description="squared errors, in sigmas, beyond which the calibration is wrong"),
     ] = 60.0
+    max_sigmas: Annotated[
+        float, Field(gt=0.0, le=1e3, description="a single error, such as the table's height, beyond which it is wrong")
+    ] = 5.0
 
 
 def align_table(
@@ -114,7 +117,8 @@ def align_table(
     refusal = ""
     if used.sum() < parameters.min_blocks and rejected > _MOST:
         # the table deviates by more than the search reaches: at least that is the doubt
-        surprise = BASIS * (_SLACK_PX[0] / prior_sigma_px) ** 2
+        # (errors that are claimed to be exactly 0 have no doubt that could grow)
+        surprise = BASIS * (_SLACK_PX[0] / prior_sigma_px) ** 2 if prior_sigma_px > 0.0 else surprise
         refusal = f"the table contradicts the calibration: {100.0 * rejected:.0f} % of its picture is not as predicted"
     elif used.sum() < parameters.min_blocks:
         refusal = f"{used.sum()} blocks of table in view, {parameters.min_blocks} needed"
@@ -122,6 +126,10 @@ def align_table(
         refusal = f"the table shows too little: {sigma_px:.3f} px of doubt are left"
     elif surprise > parameters.max_surprise:
         refusal = f"the table contradicts the calibration: chi squared {surprise:.0f}"
+    elif (worst := reference.worst_sigmas()) > parameters.max_sigmas:
+        # a sum over all errors lets a single one pass that is far off
+        surprise = max(surprise, BASIS * worst**2)
+        refusal = f"the table contradicts the calibration: one error, such as its height, is {worst:.1f} sigmas"
     check = TableCheck(int(used.sum()), u_px, v_px, sigma_px, (0.0, 0.0, 0.0), refusal)
     if refusal:
         return prior.doubted(surprise), check

@@ -107,6 +107,11 @@ def test_a_table_that_contradicts_the_calibration_is_refused() -> None:
     assert not np.any(reference.errors)
 
 
+def test_one_error_that_is_far_off_is_refused_though_the_sum_over_all_is_not() -> None:
+    _, check = align_table(table_pair(0.2), TABLE_Z_MM, TableParameters(max_sigmas=1e-3))
+    assert "one error, such as its height" in check.refusal
+
+
 def test_a_refused_calibration_is_doubted_as_much_as_the_table_contradicts_it() -> None:
     point = (500.0, 50.0, TABLE_Z_MM + 40.0)
     calm, check = align_table(table_pair(0.0), TABLE_Z_MM, TableParameters(max_doubt=1e-6))
